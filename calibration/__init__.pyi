@@ -28,6 +28,6 @@ from calibration.importing.imported import ImportResult as ImportResult
 from calibration.pipeline import calibrate as calibrate
 from calibration.pipeline import diagnose as diagnose
 from calibration.pipeline import evaluate_planned_experiments as evaluate_planned_experiments
-from calibration.tasks.errors import WorkerError as WorkerError
 from calibration.tasks.executors import Workers as Workers
+from tissue_sim.errors import WorkerError as WorkerError
 from tissue_sim.recording.formats.guesses import InterpretationOverrides as InterpretationOverrides

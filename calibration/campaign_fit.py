@@ -17,13 +17,11 @@ from calibration.campaign.measured import (
     make_campaign_with_scaled_offset_defaults,
 )
 from calibration.campaign.sample_selection import format_notes_summary_by_test_and_subject
-from calibration.fit.assess import build_fit_record
 from calibration.fit.curves import compute_test_curves
 from calibration.fit.estimate import Estimate
-from calibration.fit.estimator import Estimator, LawFailureRecord, call_and_catch_law_errors
+from calibration.fit.estimator import Estimator, LawFailureRecord, build_fit_record, call_and_catch_law_errors
 from calibration.fit.fit import SensorNoiseRecord
 from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
-from calibration.fit.material_file import write_material_files
 from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator
 from calibration.fit.population import PredictionParameters, make_held_out_predictor_or_none
 from calibration.fit.ranking import (
@@ -35,7 +33,7 @@ from calibration.fit.ranking import (
     rank_fits_predictions_and_curves,
 )
 from calibration.fit.replicates import find_replicate_disagreements
-from calibration.fit.result import CalibrationResult, decode_calibration_result
+from calibration.fit.result import CalibrationResult, decode_calibration_result, write_material_files
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import DescentResult
 from calibration.fit.uncertainty import ProfileSide, add_influence_to_fit, compute_profile_side
@@ -48,9 +46,13 @@ from calibration.output_folder import (
     list_possible_calibration_file_paths,
     list_test_figure_file_names,
 )
-from calibration.report.outputs import write_calibration_files, write_failure_report, write_summary_table
-from calibration.report.page import require_usable_sections
-from calibration.statistics.uncertainty import ParameterUncertainty
+from calibration.report.outputs import (
+    require_usable_sections,
+    write_calibration_files,
+    write_failure_report,
+    write_summary_table,
+)
+from calibration.statistics.statistics import ParameterUncertainty
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.settings import get_changed_settings_by_name
 

@@ -27,7 +27,7 @@ import msgspec
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve, compute_input_and_version_digest
-from calibration.effects.catalogue import CATALOGUE
+from calibration.effects.effect import CATALOGUE
 from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache, hash_content_and_source_code
 from calibration.output_folder import SOLVES, SUMMARY_FILE, remove_earlier_results_and_claim_folder

@@ -23,12 +23,16 @@ FIT_FILE = "fit.json"
 SUMMARY_FILE = "summary.csv"
 #: Result file of a diagnosis, written last.
 DIAGNOSIS_FILE = "diagnosis.json"
+#: Result file of a design, written last.
+DESIGN_FILE = "design.json"
 #: Folder of the stored simulations of an inverse fit.
 SOLVES = "solves"
 #: Report and tables of a calibration.
 TABLES = ("report.html", "methods.txt", "curves.csv", "residuals.csv")
 #: Report and tables of a diagnosis.
 TABLES_OF_DIAGNOSIS = ("report.html", "residuals.csv")
+#: Report of a design.
+TABLES_OF_DESIGN = ("report.html",)
 #: Formats of separate figure files.
 PICTURE_FORMATS = ("svg", "pdf", "png")
 #: Names of the figures of a calibration.
@@ -51,11 +55,15 @@ def list_possible_calibration_file_paths(campaign: Campaign, folder: Path) -> li
 
 def list_possible_diagnosis_result_paths(campaign: Campaign, folder: Path) -> list[Path]:
     """Return the paths of report, tables, figures and result file of the diagnosis of a campaign."""
-    pictures = [*(make_numbered_test_figure_name(campaign, number) for number in range(len(campaign.tests))),
-                *PICTURES_OF_DIAGNOSIS]
-    return [*(folder / name for name in TABLES_OF_DIAGNOSIS),
-            *(folder / make_figure_file_name(name, kind) for name in pictures for kind in PICTURE_FORMATS),
+    return [*(folder / name for name in TABLES_OF_DIAGNOSIS), *_list_test_figure_paths(campaign, folder),
+            *(folder / make_figure_file_name(name, kind) for name in PICTURES_OF_DIAGNOSIS for kind in PICTURE_FORMATS),
             folder / DIAGNOSIS_FILE]
+
+
+def list_possible_design_result_paths(campaign: Campaign, folder: Path) -> list[Path]:
+    """Return the paths of report, figures and result file of the design of a campaign."""
+    return [*(folder / name for name in TABLES_OF_DESIGN), *_list_test_figure_paths(campaign, folder),
+            folder / DESIGN_FILE]
 
 
 def remove_earlier_results_and_claim_folder(
@@ -117,10 +125,21 @@ def make_figure_file_name(name: str, kind: str) -> str:
     return f"report_{re.sub(r'[^0-9A-Za-z]+', '_', name).strip('_')}.{kind}"
 
 
-def list_test_figure_file_names(campaign: Campaign, kind: str | None) -> list[str]:
-    """Return the file names of the figures of all tests in a format; none without a format."""
+def list_test_figure_file_names(campaign: Campaign, kind: str | None, *, held_out: bool = True) -> list[str]:
+    """Return the file names of the figures of the tests in a format; none without a format.
+
+    Args:
+        campaign: the campaign.
+        kind: format of the files; None: no files.
+        held_out: whether tests that are held out of the fits have figures, as in a calibration.
+    """
     return [] if kind is None else [make_figure_file_name(make_numbered_test_figure_name(campaign, number), kind)
-                                    for number in range(len(campaign.tests))]
+                                    for number, test in enumerate(campaign.tests) if held_out or not test.hold_out]
+
+
+def _list_test_figure_paths(campaign: Campaign, folder: Path) -> list[Path]:
+    """Return the paths of the figures of all tests in all formats."""
+    return [folder / name for kind in PICTURE_FORMATS for name in list_test_figure_file_names(campaign, kind)]
 
 
 def _list_possible_figure_names(campaign: Campaign) -> list[str]:

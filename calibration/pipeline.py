@@ -7,8 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.measured import read_measured_curves
-from calibration.campaign.planned import PLANNED, read_or_plan_curves_of_all_tests
+from calibration.campaign.measured import PLANNED, read_measured_curves, read_or_plan_curves_of_all_tests
 from calibration.output_folder import PICTURE_FORMATS
 from calibration.tasks.executors import Workers, open_task_executor
 from tissue_sim.errors import InputError
@@ -136,11 +135,16 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
 
 def evaluate_planned_experiments(path: str | Path, *, law: str | None = None, replicates: int = PLANNED.replicates,
                                  samples: int = PLANNED.samples, workers: Workers | None = None,
-                                 progress: Progress | None = None) -> Design:
-    """Predict what the planned experiments of a campaign will determine, without writing files.
+                                 progress: Progress | None = None, output: str | Path | None = None,
+                                 overwrite: bool = False, figures: bool = True,
+                                 figures_format: str | None = None) -> Design:
+    """Predict what the planned experiments of a campaign will determine.
 
     Planned tests state a ``protocol`` instead of recordings; ``[noise]`` states the noise of the force sensor and
     ``start`` the expected material. Tests with recordings use their recordings.
+
+    With an output folder, ``design.json`` and ``report.html`` are written; finished and interrupted designs are treated
+    as in `calibrate`.
 
     Args:
         path: campaign file with ``method = "inverse_fem"``.
@@ -149,16 +153,22 @@ def evaluate_planned_experiments(path: str | Path, *, law: str | None = None, re
         samples: number of samples per planned recording, evenly spaced in time.
         workers: worker processes; None: this process only.
         progress: receives the progress, see `calibrate`.
+        output: folder of the results, created if missing; None: nothing is written.
+        overwrite: whether results of other campaigns in `output` may be replaced.
+        figures: whether the report includes figures.
+        figures_format: format of separate figure files; None: no figure files.
 
     Raises:
         InputError: the campaign is invalid, a protocol is invalid or deeper than the specimen, noise or start values
-            are missing, or there are too few replicates or samples.
+            are missing, there are too few replicates or samples, or `output` contains other files; nothing is written.
         WorkerError: a worker process ends each time it works on a part.
     """
+    _require_known_figure_format(figures_format)
     from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
 
     design, = run_campaign_jobs(
-        "design", [path], None, workers=workers, progress=progress,
+        "design", [path], output, overwrite=overwrite, workers=workers, progress=progress,
+        options={"figures": figures, "figures_format": figures_format},
         load=lambda path: make_one_law_whole_recording_campaign(load_campaign(path, planned=True), law),
         read=lambda campaign: read_or_plan_curves_of_all_tests(campaign, replicates, samples))
     return design

@@ -10,6 +10,8 @@ _RENAMED = {"open_motion": "make_motion", "open_sensor": "make_sensor", "open_st
             "open_haptic": "make_haptic_device", "HandMotion": "TargetFollowingMotion", "ForceLimits": "ForceLimiter"}
 #: Old names of modules that programs of users import -> new names.
 _MOVED = {
+    "haptics.emulators.terminal": "haptics.emulators.emulator",
+    "haptics.loop.local_model": "tissue_sim.realtime.local_model",
     "haptics.loop.real_time": "haptics.loop.ticker",
     "haptics.loop.snapshot_board": "haptics.loop.shared_slots",
     "haptics.loop.tissue_factory": "haptics.loop.multirate",

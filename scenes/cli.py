@@ -10,7 +10,6 @@ import sys
 from argparse import Namespace
 from collections.abc import Iterable, Sequence
 
-from calibration.tasks.errors import WorkerError
 from scenes.commands import COMMANDS, Command, ExitCode
 from scenes.commands.shared.parsing import InputErrorArgumentParser, describe_not_yet_available_feature
 from tissue_sim import __version__
@@ -18,6 +17,7 @@ from tissue_sim.errors import (
     ConvergenceError,
     InputError,
     MissingBackendError,
+    WorkerError,
     join_location_and_problem,
     make_hint_with_similar_or_known_words,
 )

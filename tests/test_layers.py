@@ -23,7 +23,7 @@ IMPORTERS = {  # outside package -> where it may be imported
     "viser": ("scenes/",),
     "rich": ("scenes/", "calibration/"),
     "matplotlib": ("scenes/", "calibration/"),
-    "jinja2": ("calibration/report/page.py",),
+    "jinja2": ("calibration/report/outputs.py",),
     "socket": ("haptics/", "scenes/doctor.py"),
 }
 #: What opens a file to read it, or parses what is in one; and who may: the doors, and readers of what is our own.
@@ -44,7 +44,7 @@ LONGEST_FUNCTION = 120
 #: Files of a folder, without `__init__.py`.
 MOST_FILES = 20
 #: Folders with one file per registered kind, which may have more.
-KIND_FOLDERS = {"tissue_sim/recording/formats", "calibration/effects", "calibration/report/sections"}
+KIND_FOLDERS = {"tissue_sim/recording/formats"}
 
 
 def place(path: Path) -> str:

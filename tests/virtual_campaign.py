@@ -8,7 +8,7 @@ import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.measured import make_campaign_with_scaled_offset_defaults, read_measured_curves
 from calibration.campaign_diagnosis import DiagnosisWithFits, diagnose_campaign, read_campaign_and_curves_for_diagnosis
-from calibration.diagnosis.extended import simulate_whitened_effect_change_or_reason
+from calibration.diagnosis.proposals import simulate_whitened_effect_change_or_reason
 from calibration.effects.effect import Candidate, DiagnosisData
 from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation, build_generalised_problem
 from calibration.fit.run_context import RunContext

@@ -47,12 +47,12 @@ from tissue_sim.material.file import MaterialFile as MaterialFile
 from tissue_sim.material.file import load_material as load_material
 from tissue_sim.material.file import read_material_file as read_material_file
 from tissue_sim.material.file import write_material_file as write_material_file
+from tissue_sim.material.force_scaling import Puncture as Puncture
 from tissue_sim.material.material import Bulk as Bulk
 from tissue_sim.material.material import Layer as Layer
 from tissue_sim.material.material import Material as Material
-from tissue_sim.material.poroelasticity import Poroelasticity as Poroelasticity
-from tissue_sim.material.puncture import Puncture as Puncture
 from tissue_sim.material.softening import Softening as Softening
+from tissue_sim.material.viscoelasticity import Poroelasticity as Poroelasticity
 from tissue_sim.material.viscoelasticity import Prony as Prony
 from tissue_sim.material.viscoelasticity import PronyTerm as PronyTerm
 from tissue_sim.model import Model as Model

@@ -21,7 +21,7 @@ from tissue_sim.fem.solver import (
 )
 from tissue_sim.material.effect import ForceScalingEffect, TissueEffect
 from tissue_sim.material.material import Material
-from tissue_sim.material.poroelasticity import Poroelasticity
+from tissue_sim.material.viscoelasticity import Poroelasticity
 from tissue_sim.model import Model
 from tissue_sim.parameters import Parameter, get_parameter_value, get_parameters_at_paths, parameters, with_values
 from tissue_sim.recording.recording import Recording

@@ -1,15 +1,27 @@
-"""Errors with a remedy for the user."""
+"""Errors with a remedy for the user, and errors of worker processes."""
 
 from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from tissue_sim.public_names import OldName
+
+
+class WorkerError(RuntimeError):
+    """Worker processes ended without a result: they were killed, ran out of memory, or could not start.
+
+    Attributes:
+        tasks: indices of the tasks without a result.
+    """
+
+    def __init__(self, message: str, *, tasks: Sequence[int] = ()):
+        super().__init__(message)
+        self.tasks = tuple(tasks)
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,7 @@ from benchmarks.hidden_effects.sizes import NOISE, REPLICATES, TABLE, class_of, 
 from benchmarks.hidden_effects.truth import PROTOCOLS, VirtualTest, plain
 from calibration.campaign_diagnosis import DiagnosisWithFits, diagnose_campaign, read_campaign_and_curves_for_diagnosis
 from calibration.diagnosis import proposals
-from calibration.effects.catalogue import CATALOGUE
+from calibration.effects.effect import CATALOGUE
 from calibration.fit.run_context import RunContext
 from calibration.tasks.executors import TaskExecutor
 from tissue_sim.errors import ConvergenceError, InputError

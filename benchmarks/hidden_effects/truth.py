@@ -24,7 +24,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 import tissue_sim as ts
 from benchmarks import ROOT
 from tissue_sim.errors import ConvergenceError
-from tissue_sim.material.parts import with_changed_or_added_parameters
+from tissue_sim.material.material import with_changed_or_added_parameters
 from tissue_sim.mesh.axisymmetric import (
     cylinder_mesh,
     cylinder_mesh_refined_under_needle,

@@ -31,7 +31,7 @@ from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.sensor_noise import SensorNoise
 from calibration.tasks.executors import Workers, open_task_executor
-from tissue_sim.material.parts import find_parameter_path_and_declaration
+from tissue_sim.material.material import find_parameter_path_and_declaration
 
 #: Specimen of the reference study.
 SPECIMEN = ts.Specimen(0.040, 0.070)

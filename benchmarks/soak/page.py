@@ -26,7 +26,7 @@ from scenes.viewer.frame import FRAMES, Phase, SessionFrame
 from scenes.viewer.page import Page
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
-from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 
 #: Mean time between two of each, s.
 BETWEEN = {"aim": 0.6, "parameters": 3.0, "reset": 6.0, "play": 7.0, "pause": 8.0, "nonsense": 2.0, "garbage": 3.0,

@@ -38,7 +38,7 @@ from scenes.viewer.frame import FrameViewer, Phase, SessionFrame
 from scenes.viewer.page import Page
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
-from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLineariser

@@ -31,7 +31,7 @@ from scenes.viewer.frame import Phase, PlotCurves, SessionFrame
 from scenes.viewer.page import Page
 from scenes.viewer.scene import Scene
 from scenes.viewer.solid_body import ThreeDimensionalMeshBody
-from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.solid import create_block_mesh_from_boundaries

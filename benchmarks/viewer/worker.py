@@ -39,7 +39,7 @@ from scenes.viewer.page.readouts import readouts_html
 from scenes.viewer.revolution import TriangulatedHalfSection
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
-from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 from tissue_sim.fem.axisymmetric.fields import Fields
 
 #: Number of recordings.

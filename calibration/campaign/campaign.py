@@ -48,7 +48,6 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.recording.formats.columns import validate_decimal_mark, validate_delimiter
 from tissue_sim.rig.rig import Rig
 from tissue_sim.settings import make_shallow_read_only_copy
 from tissue_sim.specimen import Specimen
@@ -276,10 +275,7 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], root: P
             if getattr(entry, key) and entry.columns is None:
                 raise InputError(f"{key} requires columns; state the columns too, or leave {key} out",
                                  field=f"{field}.{key}")
-        if entry.delimiter:
-            validate_delimiter(entry.delimiter, f"{field}.delimiter")
-        if entry.decimal is not None:
-            validate_decimal_mark(entry.decimal, f"{field}.decimal")
+        _require_valid_delimiter_and_decimal_mark(entry, field)
         specimen = find_and_check_specimen_or_none(entry, specimens, table, field)
         tests[name] = Test(
             name, kind, specimen, () if entry.protocol is not None and not entry.recordings else
@@ -294,6 +290,19 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], root: P
         raise InputError("at least one test must be fitted, but all are held out; set hold_out = false for one",
                          field="test[0].hold_out")
     return tuple(tests.values())
+
+
+def _require_valid_delimiter_and_decimal_mark(entry: TestTable, field: str) -> None:
+    """Raise an `InputError` if a test states an invalid delimiter or decimal mark of its recordings."""
+    if not entry.delimiter and entry.decimal is None:
+        return
+    # Imported on use, see `read_column_map_or_none`.
+    from tissue_sim.recording.formats.columns import validate_decimal_mark, validate_delimiter
+
+    if entry.delimiter:
+        validate_delimiter(entry.delimiter, f"{field}.delimiter")
+    if entry.decimal is not None:
+        validate_decimal_mark(entry.decimal, f"{field}.decimal")
 
 
 def _read_left_out_sample_numbers(entry: TestTable, field: str) -> Mapping[str, tuple[int, ...]]:

@@ -14,8 +14,7 @@ from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TES
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import find_law
-from tissue_sim.material.material import Bulk, Material, get_law_parameter_declaration
-from tissue_sim.material.parts import make_material_from_numbers
+from tissue_sim.material.material import Bulk, Material, get_law_parameter_declaration, make_material_from_numbers
 from tissue_sim.model import Model
 from tissue_sim.parameters import Declaration, make_display_symbol_of_parameter, with_values
 from tissue_sim.rig.rig import Rig

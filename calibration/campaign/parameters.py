@@ -11,10 +11,11 @@ from calibration.campaign.schema import BY_PARAMETER, FitTable
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import LAWS
-from tissue_sim.material.material import Material, get_law_parameter_declaration
-from tissue_sim.material.parts import (
+from tissue_sim.material.material import (
+    Material,
     find_parameter_path_and_declaration,
     find_region_name_or_none,
+    get_law_parameter_declaration,
     make_material_from_numbers,
 )
 from tissue_sim.parameters import Declaration, parameters

@@ -40,7 +40,6 @@ from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.files import find_files, is_valid_and_existing_path
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.parameters import list_field_declarations, make_from_file_values
-from tissue_sim.recording.formats.columns import normalize_column_mapping
 from tissue_sim.rig.file import load_rig
 from tissue_sim.rig.rig import Rig
 from tissue_sim.settings import make_shallow_read_only_copy
@@ -92,6 +91,9 @@ def read_column_map_or_none(entry: TestTable, field: str) -> Mapping[str, Any] |
     """Check the key ``columns`` of a test table; return the columns of each channel, or None without the key."""
     if entry.columns is None:
         return None
+    # Imported on use: most campaigns have recordings of this program, without a map of columns.
+    from tissue_sim.recording.formats.columns import normalize_column_mapping
+
     try:
         columns = normalize_column_mapping(entry.columns)
     except InputError as error:

@@ -13,8 +13,12 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.measured import MeasuredCurve, make_campaign_with_scaled_offset_defaults
-from calibration.campaign.planned import create_planned_curves_with_placeholder_force, replace_forces_of_curves
+from calibration.campaign.measured import (
+    MeasuredCurve,
+    create_planned_curves_with_placeholder_force,
+    make_campaign_with_scaled_offset_defaults,
+    replace_forces_of_curves,
+)
 from calibration.diagnosis.diagnosis import CandidateResult, NextExperiment
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.proposals import CatalogueScores, score_effects
@@ -278,40 +282,72 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
     tests: list[PlannedTestSummary]
 
 
-def simulate_noise_free_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
-                                 solves: SimulationCache) -> FitEvidence:
-    """Return the evidence of noise-free recordings of a material with the starting values of the campaign.
+def simulate_expected_recordings(problem: GeneralisedProblem,
+                                 campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
+    """Return noise-free recordings of each test, for a material with the starting values of the campaign.
 
     Args:
-        campaign: campaign from `calibration.diagnosis.evidence.make_one_law_whole_recording_campaign`.
-        measured: test -> recordings, of which only the motions are used.
-        solves: cache of simulations.
+        problem: least-squares problem of the planned tests.
+        campaign: campaign of the problem.
 
     Raises:
         InputError: a parameter has no starting value, or the simulation fails at the starting values.
     """
-    campaign = make_campaign_with_scaled_offset_defaults(campaign, measured)
-    law = campaign.fit.laws[0]
-    problem = build_generalised_problem(law, campaign, measured, solves)
     space = problem.space
     if missing := [name for name in space.free if name not in space.start]:
         raise InputError(f"fit.start must give the material of a design; state {', '.join(missing)}",
                          file=campaign.path, field="fit.start")
-    theta = np.array([space.start[name] for name in space.free])
+    theta = _get_starting_values(problem)
     known = {}
     try:
         for test in problem.tests:
-            answer = test.solve(space, theta, solves)
+            answer = test.solve(space, theta, problem.solves)
             known[test.name] = replace_forces_of_curves(test.measured,
                                                         [test.evaluate_force_and_derivatives(answer, number, 0.0)[0]
                                                          for number in range(len(test.measured))])
     except InfeasibleError as failure:
         raise InputError(f"the tests cannot be simulated with this start ({failure}); state another start or a smaller "
                          "depth", file=campaign.path, field="fit.start") from None
+    return known
+
+
+def _get_starting_values(problem: GeneralisedProblem) -> np.ndarray:
+    """Return the starting values of the free parameters, shape (number of free parameters,)."""
+    return np.array([problem.space.start[name] for name in problem.space.free])
+
+
+def make_design_campaign_and_problem(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
+                                     solves: SimulationCache) -> tuple[Campaign, GeneralisedProblem]:
+    """Return the campaign with default offsets, and the least-squares problem of its planned tests.
+
+    Args:
+        campaign: campaign from `calibration.diagnosis.evidence.make_one_law_whole_recording_campaign`.
+        measured: test -> recordings, of which only the motions are used.
+        solves: cache of simulations.
+    """
+    campaign = make_campaign_with_scaled_offset_defaults(campaign, measured)
+    return campaign, build_generalised_problem(campaign.fit.laws[0], campaign, measured, solves)
+
+
+def simulate_noise_free_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
+                                 solves: SimulationCache) -> FitEvidence:
+    """Return the evidence of noise-free recordings of a material with the starting values of the campaign.
+
+    Args:
+        campaign: see `make_design_campaign_and_problem`.
+        measured: see `make_design_campaign_and_problem`.
+        solves: cache of simulations.
+
+    Raises:
+        InputError: see `simulate_expected_recordings`.
+    """
+    campaign, problem = make_design_campaign_and_problem(campaign, measured, solves)
+    known = simulate_expected_recordings(problem, campaign)
+    theta = _get_starting_values(problem)
     # The default scatter between recordings is proportional to the force, which is known only now.
     jitter = make_stated_or_guessed_jitter(campaign, [curve for curves in known.values() for curve in curves])
     # A fit will correct the mesh; the forces of a design are those of the fast mesh, with the error after a correction.
-    mesh_error = tuple(make_test_with_mesh_correction(test, space, theta, solves)[2] for test in problem.tests)
+    mesh_error = tuple(make_test_with_mesh_correction(test, problem.space, theta, solves)[2] for test in problem.tests)
     problem = replace(problem, tests=tuple(replace(test, measured=known[test.name]) for test in problem.tests),
                       jitter=jitter, mesh_error=mesh_error)
     evaluation = problem.evaluate(theta)
@@ -319,20 +355,14 @@ def simulate_noise_free_evidence(campaign: Campaign, measured: Mapping[str, tupl
     return FitEvidence(campaign, {**measured, **known}, estimate)
 
 
-def evaluate_experiment_design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
-                               context: RunContext, solves: SimulationCache | None = None) -> Design:
+def evaluate_experiment_design(evidence: FitEvidence, context: RunContext) -> Design:
     """Compute the expected information of planned experiments.
 
     Args:
-        campaign: see `simulate_noise_free_evidence`.
-        measured: see `simulate_noise_free_evidence`.
+        evidence: noise-free recordings of the experiments, see `simulate_noise_free_evidence`.
         context: workers and listeners.
-        solves: cache of simulations; None: a new one.
-
-    Raises:
-        InputError: see `simulate_noise_free_evidence`.
     """
-    evidence = simulate_noise_free_evidence(campaign, measured, solves or SimulationCache())
+    campaign = evidence.campaign
     proposals = score_effects(evidence, context)
     nothing = VerdictWithFits("NONE", [], (), [], evidence)
     rows = [msgspec.structs.replace(row, score=None, p=None, estimate={})

@@ -13,10 +13,11 @@ import numpy as np
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.diagnosis.evidence import FitEvidence
-from calibration.diagnosis.extended import add_effect_to_problem_and_campaign, combine_free_values_with_effect_sizes
 from calibration.diagnosis.proposals import (
     CatalogueScores,
     ScoredCandidate,
+    add_effect_to_problem_and_campaign,
+    combine_free_values_with_effect_sizes,
     find_smallest_median_displacement_step,
     recompute_all_scores,
     recompute_candidate_score_in_other_fit,

@@ -1,10 +1,10 @@
-"""Base classes of effects that a diagnosis tests (`Effect` and its `Candidate`s), and the data in which it tests them.
+"""Base classes of effects that a diagnosis tests (`Effect` and its `Candidate`s), their registry, and the tested data.
 
 An effect is a class with a name, a category and two sentences for reports. Its method `Effect.candidates` returns the
 parametrisations of the effect in the tests of a campaign. Score, refit and output files follow from the parameter paths
-of a candidate. A new effect needs one module and one line in `calibration.effects.catalogue`; another package registers
-its effects through the entry point group ``tissue_sim.diagnosis_effects``. Trial values and largest values of an effect
-are attributes of its class, so that a subclass can change them.
+of a candidate. A new effect needs a class in the module of its category and one line in `CATALOGUE`; another package
+registers its effects through the entry point group ``tissue_sim.diagnosis_effects``. Trial values and largest values of
+an effect are attributes of its class, so that a subclass can change them.
 """
 
 from __future__ import annotations
@@ -22,11 +22,15 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameters import SHARED, ScopedCampaignParameter, get_experiment_and_rig_declarations_by_path
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import find_law
-from tissue_sim.material.material import get_law_parameter_declaration
-from tissue_sim.material.parts import find_parameter_path_and_declaration, with_changed_or_added_parameters
+from tissue_sim.material.material import (
+    find_parameter_path_and_declaration,
+    get_law_parameter_declaration,
+    with_changed_or_added_parameters,
+)
 from tissue_sim.model import Model
 from tissue_sim.parameters import Declaration, make_display_symbol_of_parameter, parameters, with_values
 from tissue_sim.public_names import OldName, make_getattr_for_old_names, rename_old_members_of_subclass, with_old_names
+from tissue_sim.registry import Registry
 from tissue_sim.settings import make_shallow_read_only_copy
 
 #: Smallest decrease of the displacement that counts as unloading, as a fraction of the largest displacement.
@@ -461,3 +465,39 @@ def _read_test_value_or_none_if_lacking(test: Test, path: str) -> float | None:
     part, _, inside = path.partition(".")
     stated = parameters(getattr(test, part)).get(inside)
     return None if stated is None else stated.value
+
+
+#: Name -> class, ordered by category: tissue, contact, geometry, rig, population.
+CATALOGUE: Registry[type[Effect]] = Registry("effect", "tissue_sim.diagnosis_effects", {
+    "strain_stiffening": "calibration.effects.tissue:StrainStiffening",
+    "i2_term": "calibration.effects.tissue:I2Term",
+    "compressibility": "calibration.effects.tissue:Compressibility",
+    "viscoelasticity": "calibration.effects.tissue:Viscoelasticity",
+    "poroelasticity": "calibration.effects.tissue:Poroelasticity",
+    "softening": "calibration.effects.tissue:Softening",
+    "layer": "calibration.effects.tissue:Layer",
+    "puncture": "calibration.effects.tissue:Puncture",
+    "session_scale": "calibration.effects.tissue:SessionScale",
+    "plate_friction": "calibration.effects.contact:PlateFriction",
+    "partial_slip": "calibration.effects.contact:PartialSlip",
+    "adhesion": "calibration.effects.contact:Adhesion",
+    "self_weight": "calibration.effects.geometry:SelfWeight",
+    "edge_rounding": "calibration.effects.geometry:EdgeRounding",
+    "radius_error": "calibration.effects.geometry:RadiusError",
+    "height_error": "calibration.effects.geometry:HeightError",
+    "tilt": "calibration.effects.geometry:Tilt",
+    "contact_offset": "calibration.effects.rig:ContactOffset",
+    "machine_compliance": "calibration.effects.rig:MachineCompliance",
+    "displacement_gain": "calibration.effects.rig:DisplacementGain",
+    "backlash": "calibration.effects.rig:Backlash",
+    "step_loss": "calibration.effects.rig:StepLoss",
+    "zero_offset": "calibration.effects.rig:ZeroOffset",
+    "sensor_drift": "calibration.effects.rig:SensorDrift",
+    "sensor_gain": "calibration.effects.rig:SensorGain",
+    "latency": "calibration.effects.rig:Latency",
+    "guide_friction": "calibration.effects.rig:GuideFriction",
+    "rate_damping": "calibration.effects.rig:RateDamping",
+    "inertia": "calibration.effects.rig:Inertia",
+    "population": "calibration.effects.population:Population",
+}, accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Effect),
+    expected="a class that derives from calibration.effects.effect.Effect")

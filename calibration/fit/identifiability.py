@@ -21,13 +21,12 @@ from calibration.forward.contract import ForwardTest
 from calibration.forward.meshes import get_solver_fit_resolutions
 from calibration.forward.motion import compute_force_derivative_by_offset
 from calibration.forward.simulated import SimulatedTest
-from calibration.statistics.uncertainty import COVARIANCE, ParameterUncertainty
+from calibration.statistics.statistics import COVARIANCE, ParameterUncertainty
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
-from tissue_sim.experiment.tools.flat import Flat
-from tissue_sim.experiment.tools.plate import Plate
+from tissue_sim.experiment.tools.shapes import Flat, Plate
 from tissue_sim.model import Model
 from tissue_sim.specimen.cylinder import Cylinder
 

@@ -17,9 +17,14 @@ from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve, add_noise_and_requested_interpolation
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.campaign.parameters import SHARED, ScopedCampaignParameter
-from calibration.fit.assess import build_fit_record
 from calibration.fit.estimate import Estimate
-from calibration.fit.estimator import Estimator, FitFieldInputs, LawFailureRecord, call_and_catch_law_errors
+from calibration.fit.estimator import (
+    Estimator,
+    FitFieldInputs,
+    LawFailureRecord,
+    build_fit_record,
+    call_and_catch_law_errors,
+)
 from calibration.fit.fit import Minimum, Nuisance
 from calibration.fit.ordinary_problem import OrdinaryProblem, compute_analytical_starts, evaluate_or_none_if_infeasible
 from calibration.fit.population import PredictionParameters
@@ -39,11 +44,15 @@ from calibration.forward.contract import ForwardTest
 from calibration.forward.forms import build_closed_form_or_column_test
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter
-from calibration.statistics.statistics import NOISE_RATIOS, compute_r_squared
-from calibration.statistics.uncertainty import ParameterUncertainty, compute_cluster_robust_uncertainty
+from calibration.statistics.statistics import (
+    NOISE_RATIOS,
+    ParameterUncertainty,
+    compute_cluster_robust_uncertainty,
+    compute_r_squared,
+)
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.material.parts import find_parameter_path_and_declaration
+from tissue_sim.material.material import find_parameter_path_and_declaration
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
 from tissue_sim.recording.recording import Recording
 

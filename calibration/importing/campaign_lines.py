@@ -10,8 +10,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
-from calibration.importing.flags import is_test_key_used_by_kind
-from calibration.importing.imported import CampaignLine, ImportedTest, ImportOptions, ReplicateFile
+from calibration.importing.imported import (
+    CampaignLine,
+    ImportedTest,
+    ImportOptions,
+    ReplicateFile,
+    is_test_key_used_by_kind,
+)
 from calibration.importing.specimen_sizes import explain_unusable_size_or_empty
 from calibration.importing.zero import PRELOAD
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind

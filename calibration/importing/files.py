@@ -27,7 +27,6 @@ from calibration.importing.campaign_lines import (
     make_test_lines_and_missing,
 )
 from calibration.importing.campaign_text import FILL_IN, format_campaign
-from calibration.importing.flags import reject_contradicting_options, reject_unused_options
 from calibration.importing.imported import (
     CampaignLine,
     ImportedTest,
@@ -36,6 +35,8 @@ from calibration.importing.imported import (
     LoadAtZeroInterpretation,
     ReplicateFile,
     list_questions_of_tests,
+    reject_contradicting_options,
+    reject_unused_options,
 )
 from calibration.importing.motion import analyse_recorded_motion
 from calibration.importing.picture import render_import_as_png_bytes

@@ -1,6 +1,6 @@
 """Content of a report as plain data: marked text, tables, figures, lists and paragraphs, without any layout.
 
-The page of a report (`calibration.report.page`) and the terminal tables of the commands show the same content.
+The page of a report (`calibration.report.outputs`) and the terminal tables of the commands show the same content.
 """
 
 from __future__ import annotations

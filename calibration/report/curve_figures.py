@@ -22,7 +22,7 @@ from calibration.report.drawing import (
     iterate_line_styles,
     make_thinning_slice,
 )
-from calibration.report.units import DisplayUnit, ReportUnits
+from calibration.report.quantities import DisplayUnit, ReportUnits
 from calibration.report.views import (
     CurveTrace,
     PanelLabelsAndLineFunction,

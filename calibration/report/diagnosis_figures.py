@@ -1,4 +1,4 @@
-"""Draw the figures of a diagnosis: residuals before and after, evidence by region, and candidate effects."""
+"""Draw the figures of a diagnosis or a design: residuals, evidence by region, candidate effects, planned tests."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from calibration.report.drawing import (
     add_figure_legend_above_panels,
     create_figure,
     create_figure_with_panel_rows,
+    distribute_panels_over_rows,
 )
-from calibration.report.rounding import NORMAL_95, format_criterion_difference, format_odds_number
-from calibration.report.units import ReportUnits
+from calibration.report.quantities import NORMAL_95, ReportUnits, format_criterion_difference, format_odds_number
 from calibration.report.views import CurveTrace, have_times_and_several_segments, list_panels_of_test
 
 #: Line style of the model without the added effects.
@@ -85,6 +85,35 @@ def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequ
                 panel.axvline(edge, color=MISFIT, alpha=0.3, lw=0.8, zorder=0)
     _draw_residuals_before_and_after(axes[-1], drawn, x)
     _write_misfit_labels_before_and_after(axes[-1], spans, {gap.segment: gap for gap in gaps}, x)
+    add_figure_legend_above_panels(figure)
+    return figure
+
+
+def draw_planned_test(curves: TestCurves, units: ReportUnits):
+    """Draw the planned motion and the expected force of a test with the noise of the sensor; return the figure.
+
+    Args:
+        curves: noise-free recordings of the test.
+        units: display units.
+    """
+    first = curves.measured[0]
+    trace = replace(CurveTrace.from_recording(first), band=np.full(first.force.size, first.noise.deviation))
+    views = list_panels_of_test(curves, units)
+    rows = distribute_panels_over_rows(len(views) + (first.time is not None))
+    figure, axes = create_figure_with_panel_rows(rows, LAYOUT.test_row_height)
+    if first.time is not None:
+        motion = units.get_displacement_unit(curves.test)
+        axes[0].plot(first.time, first.displacement / motion.size, **AFTER)
+        axes[0].set(title="Motion", xlabel="time [s]", ylabel=motion.format_axis_label("displacement"))
+    for panel, view in zip(axes[-len(views):], views, strict=True):
+        for x, y, band in view.lines(trace):
+            panel.plot(x, y, **AFTER, label="expected")
+            if band is not None:
+                panel.fill_between(x, y - band, y + band, color="0.6", alpha=0.4, lw=0, label="± noise of a sample")
+        panel.set(title=view.title, xlabel=view.x, ylabel=view.y)
+        if view.log:
+            panel.set_xscale("log")
+            panel.xaxis.set_major_formatter("{x:g}")
     add_figure_legend_above_panels(figure)
     return figure
 

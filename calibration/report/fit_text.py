@@ -7,8 +7,12 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from calibration.fit.fit import Fit, get_shared_and_population_mean_material
 from calibration.report.content import Span
-from calibration.report.rounding import format_interval, format_value_and_error, format_value_rounded_by_error
-from calibration.report.units import ReportUnits
+from calibration.report.quantities import (
+    ReportUnits,
+    format_interval,
+    format_value_and_error,
+    format_value_rounded_by_error,
+)
 from tissue_sim.laws import find_law
 
 #: Relative step of a parameter for the finite-difference derivative of a modulus.

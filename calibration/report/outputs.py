@@ -1,4 +1,7 @@
-"""Write reports, tables and result files of a calibrated or diagnosed campaign."""
+"""Make the HTML pages of reports from their sections, and write reports, tables and result files.
+
+Reports are those of calibrations, diagnoses and designs. The pages are made with the templates of this package.
+"""
 
 from __future__ import annotations
 
@@ -6,27 +9,117 @@ import csv
 import io
 import json
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from msgspec.structs import replace
+import msgspec
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
+from calibration.diagnosis.design import Design
 from calibration.diagnosis.diagnosis import DiagnosisResult, DiagnosisStage, diagnosis_to_json
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.effects.effect import Effect
 from calibration.fit.curves import TestCurves
 from calibration.fit.result import CalibrationResult, to_json_dictionary
-from calibration.output_folder import DIAGNOSIS_FILE, FIT_FILE
-from calibration.report.content import Column, Paragraph, Table
+from calibration.output_folder import DIAGNOSIS_FILE, FIT_FILE, make_numbered_test_figure_name
+from calibration.report.content import Block, Column, Details, Figure, Paragraph, Part, Table, Text, get_page_parts
+from calibration.report.diagnosis_figures import build_fitted_curves_of_test
 from calibration.report.drawing import FigureEmbedder
 from calibration.report.fit_text import format_law_title
-from calibration.report.methods import make_plain_methods_text
-from calibration.report.page import build_report_page, render_page
-from calibration.report.section import CalibrationReport, DiagnosisReport
-from calibration.report.units import ReportUnits
+from calibration.report.quantities import ReportUnits, get_symbol_letter_index_owner_and_slant, use_minus_signs
+from calibration.report.section import CalibrationReport, DesignReport, DiagnosisReport, Section
+from calibration.report.sections import SECTIONS
+from calibration.report.sections.statements import make_plain_methods_text
+from tissue_sim.errors import InputError
 from tissue_sim.files import write_text
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+def build_report_page(report: CalibrationReport | DiagnosisReport | DesignReport) -> str:
+    """Return the HTML page of a report: its sections in the order of `SECTIONS`."""
+    sections = [(section.make_title(report), [*section.iterate_blocks(report)])
+                for section in list_sections_in_page_order()
+                if report.kind in section.reports and (report.has_figures or not section.needs_figures)]
+    return render_page(f"{report.kind.capitalize()} of {report.campaign_name}", sections, report.pictures)
+
+
+def require_usable_sections() -> None:
+    """Import all sections and the template, so that a faulty plug-in is reported before a long computation.
+
+    Raises:
+        InputError: a section cannot be imported, or it names an unknown section.
+    """
+    try:
+        list_sections_in_page_order()
+        _get_page_template()
+    except ImportError as error:
+        raise InputError(f"a section of the report cannot be imported ({error}). Install the missing package, or "
+                         "remove the package that adds the section", field="tissue_sim.report_sections") from None
+
+
+def list_sections_in_page_order() -> list[Section]:
+    """Return all registered sections; a section with `before` precedes the section of this name."""
+    sections = [kind() for kind in SECTIONS.values()]
+    for section in [each for each in sections if each.before]:
+        SECTIONS.find(section.before, "before")
+        sections.remove(section)
+        sections.insert([each.name for each in sections].index(section.before), section)
+    return sections
+
+
+def render_page(title: str, sections: Iterable[tuple[Text, Sequence[Block]]], pictures: FigureEmbedder | None) -> str:
+    """Return a self-contained HTML page; sections without content are omitted.
+
+    Args:
+        title: title of the page.
+        sections: title and content of each section.
+        pictures: destination of the figures; None: figures are omitted.
+    """
+    shown = [(heading, [*_iterate_page_blocks(blocks, pictures)]) for heading, blocks in sections]
+    return _get_page_template().render(title=title, sections=[each for each in shown if each[1]])
+
+
+def _iterate_page_blocks(blocks: Iterable[Block], pictures: FigureEmbedder | None) -> Iterator[Block]:
+    """Yield the content of a page: figures as images, tables without terminal columns, details only if not empty."""
+    for block in blocks:
+        if isinstance(block, Figure):
+            drawn = None if pictures is None else pictures.draw_figure_or_none(block)
+            if drawn is not None:
+                yield drawn
+        elif isinstance(block, Table):
+            yield block.select_page_columns()
+        elif isinstance(block, Details):
+            inner = [*_iterate_page_blocks(block.blocks, pictures)]
+            if inner:
+                yield Details(block.summary, inner)
+        else:
+            yield block
+
+
+@cache
+def _get_page_template() -> Template:
+    """Return the template of all pages, which escapes all text."""
+    # Imported on use: commands that write no report start faster.
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    environment = Environment(loader=PackageLoader("calibration.report"), autoescape=True, undefined=StrictUndefined,
+                              keep_trailing_newline=True)
+    environment.filters |= {"kind": lambda block: type(block).__name__, "parts": get_page_parts,
+                            "minus_signs": _use_minus_signs_in_page_parts,
+                            "symbol_parts": get_symbol_letter_index_owner_and_slant}
+    return environment.get_template("page.html")
+
+
+def _use_minus_signs_in_page_parts(text: Text) -> list[Part]:
+    """Return the parts of a text that a page shows, with minus signs in place of the hyphens before numbers."""
+    return [use_minus_signs(part) if isinstance(part, str) else replace(part, text=use_minus_signs(part.text))
+            for part in get_page_parts(text)]
+
 
 #: Law -> recorded and fitted curves of each test.
 Curves = Mapping[str, Sequence[TestCurves]]
@@ -83,10 +176,29 @@ def write_diagnosis_and_get_result(result: DiagnosisResult, before: FitEvidence,
     report = DiagnosisReport(diagnosis, before, after, effects, measured, pictures)
     write_text(result.output / "report.html", build_report_page(report))
     stages = [*diagnosis.stages, DiagnosisStage(name="report", wall_s=time.monotonic() - began)]
-    result = DiagnosisResult(result.campaign, replace(diagnosis, stages=stages), result.output, result.digest)
+    result = DiagnosisResult(result.campaign, msgspec.structs.replace(diagnosis, stages=stages), result.output,
+                             result.digest)
     text = json.dumps(diagnosis_to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(result.output / DIAGNOSIS_FILE, text + "\n")
     return result
+
+
+def write_design_report(design: Design, evidence: FitEvidence, folder: Path, *, figures: bool = True,
+                        figures_format: str | None = None) -> None:
+    """Write the report of a design.
+
+    Args:
+        design: the result of the design.
+        evidence: noise-free recordings of the planned tests.
+        folder: folder of the report.
+        figures: whether the report includes figures.
+        figures_format: ``svg``, ``pdf`` or ``png`` to write each figure also as a file; None: no figure files.
+    """
+    campaign = evidence.campaign
+    curves = {make_numbered_test_figure_name(campaign, number): build_fitted_curves_of_test(evidence, test.name)
+              for number, test in enumerate(campaign.tests) if not test.hold_out}
+    pictures = FigureEmbedder(folder, figures_format) if figures else None
+    write_text(folder / "report.html", build_report_page(DesignReport(design, curves, pictures)))
 
 
 def write_failure_report(campaign: Campaign, failures: Mapping[str, str], folder: Path) -> None:

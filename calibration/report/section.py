@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import ClassVar
 
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.diagnosis.diagnosis import Diagnosis
+from calibration.diagnosis.design import Design
+from calibration.diagnosis.diagnosis import CandidateResult, Diagnosis
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.effects.effect import Effect
 from calibration.fit.curves import TestCurves
@@ -18,7 +19,11 @@ from calibration.fit.fit import Fit
 from calibration.fit.result import CalibrationResult
 from calibration.report.content import Block, Text
 from calibration.report.drawing import FigureEmbedder
-from calibration.report.units import ReportUnits
+from calibration.report.quantities import ReportUnits
+from tissue_sim.laws import find_law
+
+#: Shear modulus, Pa, from which the display unit is chosen if the specimens of a design have different materials.
+_DEFAULT_MODULUS = 1e3
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +42,11 @@ class CalibrationReport:
     methods: str
     pictures: FigureEmbedder | None
     kind: ClassVar[str] = "calibration"
+
+    @property
+    def campaign_name(self) -> str:
+        """Name of the campaign."""
+        return self.result.campaign.name
 
     @property
     def has_figures(self) -> bool:
@@ -91,6 +101,16 @@ class DiagnosisReport:
     kind: ClassVar[str] = "diagnosis"
 
     @property
+    def campaign_name(self) -> str:
+        """Name of the campaign."""
+        return self.diagnosis.campaign
+
+    @property
+    def candidates(self) -> Sequence[CandidateResult]:
+        """All candidate effects."""
+        return self.diagnosis.candidates
+
+    @property
     def has_figures(self) -> bool:
         """Whether the report has figures."""
         return self.pictures is not None
@@ -101,6 +121,46 @@ class DiagnosisReport:
         return ReportUnits.choose_for_fit(self.diagnosis.fit_before)
 
 
+@dataclass(frozen=True, eq=False)
+class DesignReport:
+    """Content of the report of a design.
+
+    Attributes:
+        design: the result of the design.
+        curves: name of the figure of each planned test -> its noise-free recordings; empty on the terminal.
+        pictures: destination of the figures; None: the report has no figures.
+    """
+
+    design: Design
+    curves: Mapping[str, TestCurves] = field(default_factory=dict)
+    pictures: FigureEmbedder | None = None
+    kind: ClassVar[str] = "design"
+
+    @property
+    def campaign_name(self) -> str:
+        """Name of the campaign."""
+        return self.design.campaign
+
+    @property
+    def candidates(self) -> Sequence[CandidateResult]:
+        """All candidate effects."""
+        return self.design.candidates
+
+    @property
+    def has_figures(self) -> bool:
+        """Whether the report has figures."""
+        return self.pictures is not None
+
+    @cached_property
+    def units(self) -> ReportUnits:
+        """Display units of the report, which suit the largest depth and force, and the shear modulus."""
+        design, law = self.design, find_law(self.design.law)
+        modulus = law.mu0({name: design.parameters[name] for name in law.parameters}) \
+            if all(name in design.parameters for name in law.parameters) else _DEFAULT_MODULUS
+        return ReportUnits.choose_for_typical_sizes(1e-3 * max(test.depth_mm for test in design.tests),
+                                                    max(test.force_N for test in design.tests), modulus)
+
+
 class Section(ABC):
     """One section of a report. A report shows it if it has content.
 
@@ -109,7 +169,7 @@ class Section(ABC):
 
     Attributes:
         name: name in the registry.
-        reports: kinds of report that have the section: ``"calibration"``, ``"diagnosis"`` or both.
+        reports: kinds of report that have the section: ``"calibration"``, ``"diagnosis"``, ``"design"`` or several.
         title: title; empty: the content follows without a title.
         needs_figures: whether the section is omitted in a report without figures.
         before: name of the section that follows; empty: the order of the registry.
@@ -122,9 +182,9 @@ class Section(ABC):
     before: ClassVar[str] = ""
 
     def make_title(self, report) -> Text:
-        """Return the title in this report (`CalibrationReport` or `DiagnosisReport`)."""
+        """Return the title in this report (`CalibrationReport`, `DiagnosisReport` or `DesignReport`)."""
         return self.title
 
     @abstractmethod
     def iterate_blocks(self, report) -> Iterable[Block]:
-        """Yield the content in this report (`CalibrationReport` or `DiagnosisReport`); nothing: no section."""
+        """Yield the content in this report (see `make_title`); nothing: no section."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves
-from calibration.report.units import DisplayUnit, ReportUnits
+from calibration.report.quantities import DisplayUnit, ReportUnits
 
 
 @dataclass(frozen=True)

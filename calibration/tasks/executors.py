@@ -9,8 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from calibration.tasks.errors import WorkerError
-from tissue_sim.errors import InputError
+from tissue_sim.errors import InputError, WorkerError
 from tissue_sim.registry import Registry
 
 #: Longest wait for a task, s; Windows delivers Ctrl-C only between waits.

@@ -10,10 +10,10 @@ from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from typing import Any
 
-from calibration.tasks.errors import WorkerError
 from calibration.tasks.executors import Workers
 from tissue_sim.bounded import pack_task, run_packed_task
-from tissue_sim.child_process import child_processes_ignore_ctrl_c, ignore_ctrl_c_and_exit_with_parent
+from tissue_sim.errors import WorkerError
+from tissue_sim.signals import child_processes_ignore_ctrl_c, ignore_ctrl_c_and_exit_with_parent
 
 #: Environment variables that limit native libraries to one thread per worker; more threads would compete for the cores.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS",

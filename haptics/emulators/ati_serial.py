@@ -15,7 +15,7 @@ from haptics.devices.ati_serial import MODES
 from haptics.devices.contracts import Bench, DeviceError, ForceSensor, SampleStatus
 from haptics.devices.settings import parse_number_settings, parse_word_settings_and_remaining_text
 from haptics.devices.virtual.faults import Faults
-from haptics.emulators.terminal import SerialDeviceEmulator
+from haptics.emulators.emulator import SerialDeviceEmulator
 from haptics.protocols.ati_serial import (
     CARRIAGE_RETURN,
     CHANNELS,

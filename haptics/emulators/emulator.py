@@ -1,12 +1,22 @@
-"""Base class and table of emulators: programs that any client of a device can connect to instead of the device."""
+"""Base classes and table of emulators: programs that any client of a device can connect to instead of the device.
+
+Emulators of serial devices have a pseudo-terminal instead of a serial port.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import select
+import sys
+import threading
+import time
 from abc import ABC, abstractmethod
 from typing import Any, Self
 
-from haptics.devices.contracts import Bench
-from haptics.devices.virtual.faults import Faults
+from haptics.devices.contracts import Bench, DeviceError
+from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
+from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.registry import Registry
 
 
@@ -71,3 +81,95 @@ def make_emulator(name: str, bench: Bench, faults: Faults | None = None) -> Emul
     """
     protocol, _, settings = name.partition(":")
     return EMULATORS.find(protocol)(bench, settings, faults or Faults())
+
+
+__getattr__ = make_getattr_for_old_names(__name__, {"TerminalEmulator": "SerialDeviceEmulator"})
+
+#: Longest wait for received bytes before `SerialDeviceEmulator.advance_and_get_messages_to_send` is called again, s.
+_POLL = 0.5e-3
+
+
+class SerialDeviceEmulator(Emulator):
+    """An emulator that answers on a pseudo-terminal.
+
+    Args:
+        faults: Faults of the connection.
+
+    Attributes:
+        path: Path of the terminal for the client, such as ``/dev/pts/3``; empty before `start`.
+    """
+
+    def __init__(self, faults: Faults):
+        self._faults = faults
+        self._thread: threading.Thread | None = None
+        self._ending = threading.Event()
+        self._master = self._slave = -1
+        self.path = ""
+
+    @abstractmethod
+    def power_on_with_backing_device(self) -> None:
+        """Set the state after power-on and start the device behind the emulator; called before the terminal opens."""
+
+    @abstractmethod
+    def stop_backing_device(self) -> None:
+        """Stop the device behind the emulator; called after the terminal has closed."""
+
+    @abstractmethod
+    def execute_bytes_and_get_answers(self, data: bytes) -> list[bytes]:
+        """Execute received bytes, which may hold part of a command or several commands; return the answers."""
+
+    def advance_and_get_messages_to_send(self) -> list[bytes]:
+        """Advance the state to now, and return the messages to send now; called about every 0.5 ms. Here none."""
+        return []
+
+    def start(self) -> None:
+        """Open the pseudo-terminal and answer in a thread; has no effect on a started emulator.
+
+        Raises:
+            DeviceError: the platform has no pseudo-terminals.
+        """
+        if self._thread is not None:
+            return
+        if sys.platform == "win32":
+            raise DeviceError("Windows has no pseudo-terminals; start the emulator on Linux or macOS")
+        import tty
+
+        self.power_on_with_backing_device()
+        self._master, self._slave = os.openpty()
+        # The open slave keeps the terminal alive while no client is connected.
+        tty.setraw(self._slave)
+        self.path = os.ttyname(self._slave)
+        os.set_blocking(self._master, False)
+        self._ending.clear()
+        self._thread = threading.Thread(target=self._run_terminal, name=f"{self.name} emulator", daemon=True)
+        self._thread.start()
+
+    def _run_terminal(self) -> None:
+        """Answer received bytes and send due messages until `stop`; the body of the thread."""
+        line = FaultyMessageQueue(self._faults, time.monotonic())
+        while not self._ending.is_set():
+            readable, _, _ = select.select([self._master], [], [], _POLL)
+            now = time.monotonic()
+            messages = []
+            if readable:
+                with contextlib.suppress(BlockingIOError, OSError):
+                    data = os.read(self._master, 65536)
+                    if not line.is_disconnected(now):
+                        messages = self.execute_bytes_and_get_answers(data)
+            for message in (*messages, *self.advance_and_get_messages_to_send()):
+                line.put_message(message, now)
+            for message in line.take_due_messages(now):
+                # If the client does not read, excess bytes are lost, as on a wire without flow control.
+                with contextlib.suppress(BlockingIOError):
+                    os.write(self._master, message)
+
+    def stop(self) -> None:
+        """End the thread, close the pseudo-terminal and stop the device that backs the emulator."""
+        if self._thread is None:
+            return
+        self._ending.set()
+        self._thread.join()
+        self._thread = None
+        os.close(self._master)
+        os.close(self._slave)
+        self.stop_backing_device()

@@ -11,7 +11,7 @@ from typing import Any
 from haptics.devices.contracts import Bench
 from haptics.devices.settings import parse_number_settings
 from haptics.devices.virtual.faults import Faults
-from haptics.emulators.terminal import SerialDeviceEmulator
+from haptics.emulators.emulator import SerialDeviceEmulator
 from haptics.protocols import grbl
 from haptics.protocols.grbl import GrblSetting
 from tissue_sim.errors import InputError

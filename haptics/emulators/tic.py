@@ -12,7 +12,7 @@ from typing import Any
 from haptics.devices.contracts import Bench
 from haptics.devices.settings import parse_number_settings
 from haptics.devices.virtual.faults import Faults
-from haptics.emulators.terminal import SerialDeviceEmulator
+from haptics.emulators.emulator import SerialDeviceEmulator
 from haptics.protocols import tic
 from haptics.protocols.tic import (
     ErrorFlags,

@@ -25,14 +25,14 @@ from haptics.loop.loop import COMMANDS, Loop, LoopReport, LoopSettings, get_mesh
 from haptics.loop.ring import RingReader, RingWriter
 from haptics.loop.shared_slots import SnapshotReader, SnapshotWriter, find_unused_path, remove_files_ignoring_errors
 from haptics.safety.rendering import ForceRendering
-from tissue_sim.child_process import (
+from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, make_hint_with_similar_or_known_words
+from tissue_sim.public_names import OldName, with_old_names
+from tissue_sim.registry import list_registered_groups_names_objects, register_objects_of_other_process
+from tissue_sim.signals import (
     child_processes_ignore_ctrl_c,
     ignore_ctrl_c_and_exit_with_parent,
     limit_threads_of_child_processes,
 )
-from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, make_hint_with_similar_or_known_words
-from tissue_sim.public_names import OldName, with_old_names
-from tissue_sim.registry import list_registered_groups_names_objects, register_objects_of_other_process
 from tissue_sim.snapshot import DisplayableTissue, Snapshot
 from tissue_sim.tool_force import Tissue
 

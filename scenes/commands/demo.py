@@ -100,7 +100,7 @@ def _serve_result_page(arguments, output: Path, material_file: Path) -> int:
     from scenes.demo.specimen import DEPTH, SPECIMEN
     from scenes.viewer.run import run_viewer_page
     from scenes.viewer.scene import Scene, read_measurements_by_kind
-    from tissue_sim.experiment.kinds.indentation import NEEDLE
+    from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 
     experiment = NEEDLE.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH))
     measured = read_measurements_by_kind(sorted((output / "measured").glob("*.csv")), NEEDLE.name)
@@ -119,8 +119,7 @@ def make_found_effects_scene_with_plain_curve(result: DiagnosisResult, measured:
         measured: folder of the recordings.
     """
     import tissue_sim as ts
-    from scenes.demo.hidden_effect import make_model_with_effect
-    from scenes.demo.hidden_effect_demo import KINDS, build_plain_models
+    from scenes.demo.hidden_effect_demo import KINDS, build_plain_models, make_model_with_effect
     from scenes.viewer.measurement import make_first_cycle_motion_protocol
     from scenes.viewer.scene import Scene, read_measurements_by_kind
 
@@ -150,8 +149,7 @@ def make_found_effects_scene_with_plain_curve(result: DiagnosisResult, measured:
 
 def _find_test_name_showing_effects_best(diagnosis: Diagnosis) -> str:
     """Return the name of the test that shows the found effects best."""
-    from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, NEEDLE
-    from scenes.demo.hidden_effect_demo import KINDS
+    from scenes.demo.hidden_effect_demo import HIDEABLE_EFFECTS, KINDS, NEEDLE
 
     if not diagnosis.effects or any(each.category == "tissue" for each in diagnosis.effects):
         return NEEDLE

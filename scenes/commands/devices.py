@@ -6,8 +6,8 @@ from argparse import Namespace
 from typing import TYPE_CHECKING
 
 from scenes.commands.shared.command import Command, CommandResult
+from scenes.commands.shared.console import make_table_with_headings, print_sentence
 from scenes.commands.shared.parsing import InputErrorArgumentParser
-from scenes.commands.shared.text_table import make_table_with_headings, print_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console

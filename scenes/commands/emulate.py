@@ -10,7 +10,7 @@ from typing import Any
 from scenes.commands.shared.command import Command, ExitCode
 from scenes.commands.shared.console import make_results_console, print_json
 from scenes.commands.shared.parsing import InputErrorArgumentParser, parse_positive_number
-from scenes.stop_signals import call_stop_at_signals
+from tissue_sim.signals import call_stop_at_signals
 
 #: Emulators for the help, which imports no emulator.
 _NAMES = "rdt, ati-serial, tic, grbl, haply"

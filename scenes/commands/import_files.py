@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenes.commands.shared.command import Command, CommandResult, ExitCode
+from scenes.commands.shared.console import TABLES, make_table_with_headings, print_sentence
 from scenes.commands.shared.parsing import (
     InputErrorArgumentParser,
     add_overwrite_flag,
@@ -15,7 +16,6 @@ from scenes.commands.shared.parsing import (
     parse_contact_interface_or_friction,
     parse_positive_number,
 )
-from scenes.commands.shared.text_table import TABLES, make_table_with_headings, print_sentence
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.specimen import specimen_sizes

@@ -9,9 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from haptics.devices.back_ends import HAPTIC_DEVICES, MOTIONS
 from scenes.commands.shared.command import Command, CommandResult, ExitCode
-from scenes.commands.shared.console import make_progress_console
+from scenes.commands.shared.console import make_progress_console, make_table_with_headings, print_sentence
 from scenes.commands.shared.experiment_flags import (
     MOTION_FLAGS,
     add_experiment_flags,
@@ -31,7 +30,6 @@ from scenes.commands.shared.parsing import (
     parse_non_negative_number,
     parse_positive_number,
 )
-from scenes.commands.shared.text_table import make_table_with_headings, print_sentence
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -92,6 +90,8 @@ def _add_duration_flag(parser: InputErrorArgumentParser) -> None:
 
 def _add_motion_source_flags(parser: InputErrorArgumentParser) -> None:
     """Add the flags of the prescribed motion and of the haptic device."""
+    from haptics.devices.back_ends import HAPTIC_DEVICES, MOTIONS
+
     source = parser.add_argument_group("source of the motion")
     source.add_argument("--motion", metavar="NAME[:SETTINGS]",
                         help=f"prescribed motion: one of {', '.join(MOTIONS)}. random: like a hand, with lift-off; "

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from scenes.commands.shared.command import Command, CommandResult
+from scenes.commands.shared.console import display_task
 from scenes.commands.shared.experiment_flags import (
     add_experiment_flags,
     add_scene_and_optional_material_flag,
@@ -17,7 +18,6 @@ from scenes.commands.shared.experiment_flags import (
     make_experiment_from_flags,
     require_known_scene,
 )
-from scenes.commands.shared.log_lines import display_task
 from scenes.commands.shared.parsing import (
     InputErrorArgumentParser,
     add_overwrite_flag,

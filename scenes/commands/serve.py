@@ -29,8 +29,8 @@ from scenes.commands.shared.parsing import (
     parse_non_negative_number,
     parse_positive_number,
 )
-from scenes.stop_signals import call_stop_at_signals
 from tissue_sim.errors import InputError
+from tissue_sim.signals import call_stop_at_signals
 
 if TYPE_CHECKING:
     from haptics.server.server import TissueServer

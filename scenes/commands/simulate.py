@@ -11,8 +11,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenes.catalogue import SCENES
+from scenes.catalogue import SCENES, make_kind_specimen_tool_metadata
 from scenes.commands.shared.command import Command, CommandResult
+from scenes.commands.shared.console import TABLES, display_task
 from scenes.commands.shared.experiment_flags import (
     add_experiment_flags,
     add_resolution_and_solver_flags,
@@ -21,7 +22,6 @@ from scenes.commands.shared.experiment_flags import (
     require_known_scene,
     require_known_solver,
 )
-from scenes.commands.shared.log_lines import display_task
 from scenes.commands.shared.parsing import (
     InputErrorArgumentParser,
     add_overwrite_flag,
@@ -29,9 +29,7 @@ from scenes.commands.shared.parsing import (
     make_integer_parser,
     parse_non_negative_number,
 )
-from scenes.commands.shared.text_table import TABLES
 from scenes.field_labels import LABELS
-from scenes.provenance import make_kind_specimen_tool_metadata
 from tissue_sim.errors import ConvergenceError, InputError
 
 if TYPE_CHECKING:

@@ -8,7 +8,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from haptics.devices.back_ends import HAPTIC_DEVICES, make_haptic_device
 from scenes.catalogue import SCENES
 from scenes.commands.shared.command import Command, CommandResult, ExitCode
 from scenes.commands.shared.experiment_flags import (
@@ -23,7 +22,6 @@ from scenes.commands.shared.experiment_flags import (
     require_known_scene,
 )
 from scenes.commands.shared.parsing import InputErrorArgumentParser, make_integer_parser, parse_positive_number
-from scenes.doctor import VIEWER_PORT
 from tissue_sim.errors import InputError
 
 
@@ -39,6 +37,8 @@ def _add_folder_and_measurement_flags(parser: InputErrorArgumentParser) -> None:
 
 def _add_device_and_bench_flags(parser: InputErrorArgumentParser) -> None:
     """Add the haptic device, and the flags of the page of a test bench."""
+    from haptics.devices.back_ends import HAPTIC_DEVICES
+
     parser.add_argument("--device", metavar="NAME:SETTINGS",
                         help="haptic device that moves the tool and displays the force: one of "
                         f"{', '.join(HAPTIC_DEVICES)}")
@@ -63,6 +63,8 @@ def _add_headless_flags(parser: InputErrorArgumentParser) -> None:
 
 def add_page_flags(parser: InputErrorArgumentParser) -> None:
     """Add the flags of the page: address, access and graphics."""
+    from scenes.doctor import VIEWER_PORT
+
     page = parser.add_argument_group("page")
     page.add_argument("--port", type=make_integer_parser(0, 65535), metavar="N", default=VIEWER_PORT,
                       help=f"port of the page; 0 selects a free port (default: {VIEWER_PORT})")
@@ -111,6 +113,8 @@ def _run(arguments: Namespace) -> CommandResult | int:
     if other:
         options["curve_resolution"] = arguments.resolution
     if arguments.device:
+        from haptics.devices.back_ends import make_haptic_device
+
         options["device"] = make_haptic_device(arguments.device)
     if arguments.headless:
         answer = run_headless_and_return_results(scene, arguments.seconds, protocol=arguments.protocol,

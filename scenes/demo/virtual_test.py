@@ -12,9 +12,8 @@ import numpy as np
 import tissue_sim as ts
 from scenes.demo.specimen import BULK_RATIO, DEPTH, PHANTOM, SPECIMEN, VirtualReplicateAndErrorSettings
 from scenes.figures import draw_section, draw_tool_edge_closeup, write_figure_file
-from tissue_sim.experiment.kinds.compression import BONDED, LUBRICATED
-from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.experiment.kinds.kind import TestKind
+from tissue_sim.experiment.kinds.standard_tests import BONDED, LUBRICATED, NEEDLE
 from tissue_sim.files import write_text
 
 #: Recordings and errors of the virtual measurements.

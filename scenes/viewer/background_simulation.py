@@ -9,9 +9,8 @@ from __future__ import annotations
 from concurrent.futures import Future
 
 import tissue_sim as ts
-from calibration.tasks.errors import WorkerError
 from calibration.tasks.process_pool import ProcessPool
-from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
+from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, WorkerError
 from tissue_sim.realtime.simulator import Simulator
 
 #: Budget of a step over the time of one linear solve, for slow solvers: enough for one solve with its assembly, so that

@@ -22,11 +22,11 @@ import numpy as np
 from haptics.devices.contracts import DeviceError, ForceSensor, SampleStatus, Stage
 from haptics.recorder.recorder import LIVE_FILE, UPDATE_INTERVAL
 from haptics.recorder.run_folder import PARTIAL_SUFFIX, RUN_FILE
-from scenes.stop_signals import call_stop_at_signals
 from scenes.viewer.plots import keep_or_round_axis_range_with_zero, make_unconnected_sample_plot_options
 from scenes.viewer.web_server import ViewerServer, describe_network_access, open_viewer_server
 from tissue_sim.decode import read_json_value
 from tissue_sim.errors import InputError
+from tissue_sim.signals import call_stop_at_signals
 
 
 @dataclass(frozen=True)

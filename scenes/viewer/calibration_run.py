@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Protocol
 
-from calibration.tasks.errors import WorkerError
 from calibration.tasks.process_pool import ProcessPool
 from scenes.viewer.calibration_task import (
     PROGRESS_FILE,
@@ -24,7 +23,7 @@ from scenes.viewer.calibration_task import (
 from scenes.viewer.material_files import require_unused_material_path
 from scenes.viewer.measurement import Measurement, UploadedRecordingOrSidecar, build_measurement_from_replicates
 from scenes.viewer.scene import Scene
-from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, shorten_text_in_middle
+from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, WorkerError, shorten_text_in_middle
 from tissue_sim.files import write_bytes
 from tissue_sim.material.material import Material
 from tissue_sim.recording.recording import Recording

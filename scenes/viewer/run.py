@@ -10,7 +10,6 @@ import webbrowser
 from pathlib import Path
 from typing import Any
 
-from scenes.stop_signals import call_stop_at_signals
 from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
@@ -18,6 +17,7 @@ from scenes.viewer.trace import Trace
 from scenes.viewer.web_server import describe_network_access
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED
+from tissue_sim.signals import call_stop_at_signals
 
 #: Query parameters of the address with which viser renders at half resolution, for browsers without a graphics card.
 HALF_RESOLUTION = {"fixedDpr": "0.5"}

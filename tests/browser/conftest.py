@@ -190,7 +190,7 @@ def shown(browser, tmp_path_factory):
     from scenes.commands.shared.experiment_flags import load_material_or_study_silicone
     from scenes.viewer.measurement import build_measurement_from_replicates
     from scenes.viewer.scene import Scene
-    from tissue_sim.experiment.kinds.indentation import NEEDLE
+    from tissue_sim.experiment.kinds.standard_tests import NEEDLE
     from tissue_sim.material.file import MaterialFile
     from tissue_sim.parameters import with_values
 
@@ -216,7 +216,7 @@ def shown_solid(browser, tmp_path_factory):
     import tissue_sim as ts
     from scenes.commands.shared.experiment_flags import load_material_or_study_silicone
     from scenes.viewer.scene import Scene
-    from tissue_sim.experiment.kinds.indentation import NEEDLE
+    from tissue_sim.experiment.kinds.standard_tests import NEEDLE
     from tissue_sim.fem.solver import SOLVERS
 
     experiment = NEEDLE.experiment(
@@ -237,7 +237,7 @@ def shown_block(browser, tmp_path_factory):
     """Viewer of a reduced block whose top is attached to a needle away from its middle."""
     import tissue_sim as ts
     from scenes.viewer.scene import Scene
-    from tissue_sim.experiment.kinds.indentation import NEEDLE
+    from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 
     experiment = NEEDLE.experiment(
         specimen=ts.Specimen(shape="block", length=0.030, width=0.024, height=0.015),
@@ -258,7 +258,7 @@ def shown_reduced(browser, tmp_path_factory):
     """Viewer of a reduced solid attached to a flat needle."""
     import tissue_sim as ts
     from scenes.viewer.scene import Scene
-    from tissue_sim.experiment.kinds.indentation import NEEDLE
+    from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
     experiment = NEEDLE.experiment(specimen=ts.Specimen(0.03, 0.02), protocol=ts.Protocol.ramp(2e-3, 3),

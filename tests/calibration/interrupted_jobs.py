@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 
 from calibration import calibrate, diagnose, evaluate_planned_experiments, load_campaign
-from calibration.campaign.planned import read_or_plan_curves_of_all_tests
+from calibration.campaign.measured import read_or_plan_curves_of_all_tests
 from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
-from calibration.effects.machine_compliance import MachineCompliance
-from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.effects.rig import MachineCompliance
+from calibration.effects.tissue import Viscoelasticity
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.pipeline import run_campaign_jobs
 

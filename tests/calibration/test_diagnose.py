@@ -11,15 +11,15 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign_diagnosis import diagnose_campaign, read_campaign_and_curves_for_diagnosis
 from calibration.diagnosis.diagnosis import CandidateResult, EffectParameter, NextExperiment, summarise_diagnosis
-from calibration.effects.machine_compliance import MachineCompliance
-from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.effects.rig import MachineCompliance
+from calibration.effects.tissue import Viscoelasticity
 from calibration.fit.run_context import RunContext
 from calibration.report.content import get_parts
-from calibration.report.diagnosis_tables import format_detectable_sizes, make_fitted_parameter_text
 from calibration.report.drawing import FigureEmbedder
-from calibration.report.page import build_report_page
+from calibration.report.outputs import build_report_page
+from calibration.report.quantities import DisplayUnit, ReportUnits
 from calibration.report.section import DiagnosisReport
-from calibration.report.units import DisplayUnit, ReportUnits
+from calibration.report.tables import format_detectable_sizes, make_fitted_parameter_text
 from calibration.tasks.executors import Workers, open_task_executor
 
 CAMPAIGN = """

@@ -11,8 +11,13 @@ from virtual_campaign import PLATES, diagnosed_plates
 
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.planned import read_or_plan_curves_of_all_tests
-from calibration.diagnosis.design import evaluate_experiment_design, list_variations_of_existing_tests
+from calibration.campaign.measured import read_or_plan_curves_of_all_tests
+from calibration.campaign_diagnosis import write_effect_files_and_get_diagnosis
+from calibration.diagnosis.design import (
+    evaluate_experiment_design,
+    list_variations_of_existing_tests,
+    simulate_noise_free_evidence,
+)
 from calibration.diagnosis.diagnosis import (
     CandidateResult,
     EffectParameter,
@@ -21,16 +26,15 @@ from calibration.diagnosis.diagnosis import (
     SegmentMisfit,
     summarise_diagnosis,
 )
-from calibration.diagnosis.effect_files import write_effect_files_and_get_diagnosis
 from calibration.diagnosis.evidence import (
     compute_upper_limit_of_estimated_jitter,
     make_one_law_whole_recording_campaign,
 )
-from calibration.effects.machine_compliance import MachineCompliance
-from calibration.effects.plate_friction import PlateFriction
-from calibration.effects.sensor_drift import SensorDrift
-from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.effects.contact import PlateFriction
+from calibration.effects.rig import MachineCompliance, SensorDrift
+from calibration.effects.tissue import Viscoelasticity
 from calibration.fit.run_context import RunContext
+from calibration.forward.simulation_cache import SimulationCache
 from calibration.tasks.executors import Workers, open_task_executor
 from tissue_sim.decode import format_toml
 from tissue_sim.errors import InputError
@@ -162,8 +166,8 @@ def test_a_plan_needs_no_recording(tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN + "[noise]\nforce_N = 0.01\n", encoding="utf-8")
     campaign = make_one_law_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     with open_task_executor(Workers()) as tasks:
-        found = evaluate_experiment_design(campaign,
-                                           read_or_plan_curves_of_all_tests(campaign, replicates=3, samples=121),
+        found = evaluate_experiment_design(simulate_noise_free_evidence(
+            campaign, read_or_plan_curves_of_all_tests(campaign, replicates=3, samples=121), SimulationCache()),
                                            RunContext("plan", tasks))
     rows = {row.name: row for row in found.candidates}
     assert rows["viscoelasticity"].testable and rows["viscoelasticity"].seen_from["viscoelastic.terms[0].g"] < 0.02
@@ -171,7 +175,8 @@ def test_a_plan_needs_no_recording(tmp_path):
     shorter = make_one_law_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     shorter = replace(shorter, tests=(replace(shorter.tests[0], protocol="ramp 3mm @0.2mm/s"),))
     with open_task_executor(Workers()) as tasks:
-        ramp = evaluate_experiment_design(shorter, read_or_plan_curves_of_all_tests(shorter, replicates=3, samples=121),
+        ramp = evaluate_experiment_design(simulate_noise_free_evidence(
+            shorter, read_or_plan_curves_of_all_tests(shorter, replicates=3, samples=121), SimulationCache()),
                                           RunContext("plan", tasks))
     row = next(row for row in ramp.candidates if row.name == "viscoelasticity")
     assert not row.testable or row.seen_from["viscoelastic.terms[0].g"] > 3 * rows["viscoelasticity"].seen_from[

@@ -8,11 +8,11 @@ from scipy.interpolate import CubicSpline
 
 import calibration
 import tissue_sim as ts
-from calibration.diagnosis import duration
-from calibration.diagnosis.duration import describe_expected_duration_or_empty, measure_solid_simulation_cpu_s_by_test
+from calibration import campaign_diagnosis
+from calibration.campaign_diagnosis import describe_expected_duration_or_empty, measure_solid_simulation_cpu_s_by_test
 from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
-from calibration.effects.machine_compliance import MachineCompliance
-from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.effects.rig import MachineCompliance
+from calibration.effects.tissue import Viscoelasticity
 from calibration.fit.problem import build_generalised_problem
 from calibration.fit.run_context import RunContext
 from calibration.forward.meshes import MESHES, SolverFitResolutions
@@ -72,7 +72,7 @@ def glued(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypatch):
-    monkeypatch.setattr(duration, "SETTINGS", replace(duration.SETTINGS, min_announced=0.0))
+    monkeypatch.setattr(campaign_diagnosis, "SETTINGS", replace(campaign_diagnosis.SETTINGS, min_announced=0.0))
     said, announced = [], []
     result, = calibration.diagnose([glued], tmp_path / "out", figures=False, announce=announced.append,
                                    progress=lambda sentence, *counts: said.append((sentence, counts)))

@@ -15,9 +15,8 @@ import pytest
 from child_environment import child_environment
 
 from calibration.tasks import dask_cluster, executors
-from calibration.tasks.errors import WorkerError
 from calibration.tasks.executors import Workers, open_task_executor
-from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.errors import ConvergenceError, InputError, WorkerError
 
 SUMS = [(1, 2), (3.5, 4), (5, -6), (0.1, 0.2)]
 

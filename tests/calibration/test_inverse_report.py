@@ -27,13 +27,13 @@ from calibration.fit.fit import (
     WeakDirection,
 )
 from calibration.fit.result import CalibrationResult
-from calibration.report import curve_figures, estimate_figures, figures
+from calibration.report import curve_figures, figures
 from calibration.report.drawing import FigureEmbedder
-from calibration.report.methods import make_plain_methods_text
-from calibration.report.page import build_report_page
+from calibration.report.outputs import build_report_page
 from calibration.report.png import render_png
+from calibration.report.quantities import ReportUnits
 from calibration.report.section import CalibrationReport
-from calibration.report.units import ReportUnits
+from calibration.report.sections.statements import make_plain_methods_text
 from calibration.statistics.sensor_noise import SensorNoise
 from tissue_sim import KINDS, Specimen, find_law
 
@@ -415,7 +415,7 @@ def test_predictions_are_as_long_as_their_error_and_marked_where_chance_ends(cam
 
 def test_profiles_show_interval_quadratic_and_bound(campaign):
     result, _ = campaign
-    free, bound = estimate_figures.draw_profiles(result.fits[1], result.campaign.fit.bounds,
+    free, bound = figures.draw_profiles(result.fits[1], result.campaign.fit.bounds,
                                                  ReportUnits.choose_for_best_fit(result)).axes
     lines = {line.get_label(): line for line in free.lines}
     x, y = lines["quadratic"].get_data()
@@ -434,16 +434,16 @@ def test_profiles_show_interval_quadratic_and_bound(campaign):
 
 def test_correlation_of_two_has_an_ellipse_and_of_three_its_weak_directions(campaign):
     (best, second), units = campaign[0].fits, ReportUnits.choose_for_best_fit(campaign[0])
-    matrix, region, _ = estimate_figures.draw_parameter_correlation_or_none(best, units).axes
+    matrix, region, _ = figures.draw_parameter_correlation_or_none(best, units).axes
     assert texts_of(matrix) == ["1", "−0.82", "−0.82", "1"]
     outer = region.patches[0].get_xy()
     reach = np.sqrt(5.991465)  # 95 % quantile of chi-square with two degrees of freedom
     assert outer.max(axis=0) == pytest.approx([1.4062 + reach * 4.1e-3, 0.688 + reach * 24e-3], rel=1e-4)
-    assert estimate_figures.draw_parameter_correlation_or_none(second, units) is None
+    assert figures.draw_parameter_correlation_or_none(second, units) is None
     three = make_fit("reduced_polynomial_3", {"C10": 1.0, "C20": 2.0, "C30": 3.0},
                      {name: tuple(row) for name, row in zip(("C10", "C20", "C30"), np.eye(3), strict=True)},
                      directions=[WeakDirection(shares={"C10": 0.1, "C20": -0.7, "C30": 0.7}, relative_error=0.6)])
-    weak = estimate_figures.draw_parameter_correlation_or_none(three, units)
+    weak = figures.draw_parameter_correlation_or_none(three, units)
     bars = weak.axes[1]
     assert [bar.get_width() for bar in bars.patches] == pytest.approx([0.1, -0.7, 0.7])
     assert weak.legends[0].get_texts()[0].get_text() == "known to ± 60 %"

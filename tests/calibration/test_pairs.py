@@ -9,10 +9,8 @@ from virtual_campaign import diagnosed_plates
 import tissue_sim as ts
 from calibration.diagnosis.refits import _are_both_required_and_dissimilar
 from calibration.diagnosis.settings import DecisionLimits
-from calibration.effects.displacement_gain import DisplacementGain
-from calibration.effects.sensor_drift import SensorDrift
-from calibration.effects.step_loss import StepLoss
-from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.effects.rig import DisplacementGain, SensorDrift, StepLoss
+from calibration.effects.tissue import Viscoelasticity
 from calibration.statistics.adequacy import EffectDirection
 
 

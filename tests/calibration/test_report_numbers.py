@@ -11,16 +11,17 @@ from calibration.report.fit_text import (
     format_young_modulus,
     iterate_fit_groups_with_remarks,
 )
-from calibration.report.page import render_page
-from calibration.report.rounding import (
+from calibration.report.outputs import render_page
+from calibration.report.quantities import (
+    ReportUnits,
     format_error,
     format_interval,
+    format_mathtext_symbol,
     format_odds_number,
+    format_plain_symbol,
     format_value_and_error,
     use_minus_signs,
 )
-from calibration.report.symbols import format_mathtext_symbol, format_plain_symbol
-from calibration.report.units import ReportUnits
 
 
 @pytest.mark.parametrize(("value", "error", "text"), [

@@ -72,7 +72,7 @@ def test_pictures_are_files_beside_the_report_and_are_made_when_asked_for_later(
         drawn.append(draw_test_figure(*arguments))
         return drawn[-1]
 
-    monkeypatch.setattr("calibration.report.sections.recordings_and_laws.draw_test_figure", draw)
+    monkeypatch.setattr("calibration.report.sections.recordings.draw_test_figure", draw)
     out = tmp_path / "out"
     calibrate([campaign], out)
     assert not list(out.glob("report_*"))

@@ -18,7 +18,7 @@ from calibration.fit.usability import (
     compute_displacement_r_squared,
     list_findings_contradicting_fit,
 )
-from calibration.report.sections.usability import CRITERIA
+from calibration.report.sections.fits import CRITERIA
 from scenes.cli import main
 from tissue_sim.recording.screening import ControlledQuantityFindings, LeftOutSamples, Preload, Screening
 

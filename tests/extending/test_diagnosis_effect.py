@@ -6,8 +6,7 @@ import pytest
 from virtual_campaign import fitted, measured_campaign
 
 import tissue_sim as ts
-from calibration.effects.catalogue import CATALOGUE
-from calibration.effects.effect import Effect, NotTestableError
+from calibration.effects.effect import CATALOGUE, Effect, NotTestableError
 from tissue_sim.rig.fault import FAULTS
 
 

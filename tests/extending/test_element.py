@@ -7,7 +7,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import ELEMENTS, Q9P1

@@ -229,7 +229,7 @@ def test_the_old_constructor_of_an_axial_force_warns(owner):
     ("haptics", "open_motion", "make_motion"), ("haptics", "open_haptic", "make_haptic_device"),
     ("haptics", "HandMotion", "TargetFollowingMotion"), ("haptics", "ForceLimits", "ForceLimiter"),
     ("haptics.devices.settings", "read_settings", "parse_number_settings"),
-    ("haptics.emulators.terminal", "TerminalEmulator", "SerialDeviceEmulator"),
+    ("haptics.emulators.emulator", "TerminalEmulator", "SerialDeviceEmulator"),
     ("haptics.safety.limits", "ForceRelease", "tissue_sim.realtime.force_fading:ForceFader"),
     ("haptics.safety.limits", "ForceFader", "tissue_sim.realtime.force_fading:ForceFader"),
     ("haptics.safety.limits", "Watchdog", "tissue_sim.realtime.force_fading:Watchdog"),
@@ -330,12 +330,17 @@ def test_a_multirate_tissue_has_a_process_for_its_bulk_unless_a_link_is_given():
 @pytest.mark.parametrize(("module", "member"), [
     ("calibration.diagnosis.decision_limits", "DecisionLimits"),
     ("calibration.diagnosis.refit_settings", "RefitSettings"), ("calibration.diagnosis.result", "DiagnosisResult"),
+    ("calibration.effects.backlash", "Backlash"), ("calibration.effects.catalogue", "Effect"),
     ("calibration.effects.situation", "DiagnosisData"), ("calibration.effects.situation", "Situation"),
     ("calibration.fit.hold", "HoldFit"), ("calibration.fit.usability_settings", "UsabilitySettings"),
-    ("haptics.loop.real_time", "RealTimeFeature"),
+    ("calibration.report.units", "ReportUnits"), ("calibration.tasks.errors", "WorkerError"),
+    ("haptics.emulators.terminal", "SerialDeviceEmulator"), ("haptics.loop.real_time", "RealTimeFeature"),
     ("haptics.loop.snapshot_board", "SnapshotWriter"), ("haptics.loop.tissue_factory", "make_real_time_tissue_factory"),
     ("haptics.safety.force_release", "ForceRelease"), ("haptics.safety.watchdog", "Watchdog"),
     ("haptics.server.scene_limits", "SceneLimits"), ("scenes.viewer.wedge", "Wedge"),
+    ("scenes.commands.shared.text_table", "print_sentence"), ("tissue_sim.experiment.kinds.gripped", "TestKind"),
+    ("tissue_sim.experiment.tools.flat", "Flat"), ("tissue_sim.laws.neo_hooke", "NeoHooke"),
+    ("tissue_sim.material.puncture", "Puncture"), ("tissue_sim.rig.inertia", "Inertia"),
     ("tissue_sim.atomic_write", "write_text"), ("tissue_sim.experiment.approach", "Approach"),
     ("tissue_sim.experiment.protocol_text", "parse_protocol"), ("tissue_sim.experiment.tools.sizes", "edge_radius"),
     ("tissue_sim.fem.free_tool", "FreeTool"), ("tissue_sim.force_error", "RelativeForceErrorEstimate"),
@@ -352,6 +357,6 @@ def test_a_moved_module_is_imported_by_its_old_name_with_a_warning(module, membe
 
 
 def test_all_moved_modules_exist():
-    for package in ("calibration", "haptics", "tissue_sim"):
+    for package in ("calibration", "haptics", "scenes", "tissue_sim"):
         for old, new in import_module(package)._MOVED.items():
             assert import_module(new) and find_spec(old) is not None

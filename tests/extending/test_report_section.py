@@ -8,7 +8,7 @@ import pytest
 import calibration
 import tissue_sim as ts
 from calibration.report.content import Column, Span, Table, get_terminal_text
-from calibration.report.page import list_sections_in_page_order, render_page
+from calibration.report.outputs import list_sections_in_page_order, render_page
 from calibration.report.section import Section
 from calibration.report.sections import SECTIONS
 

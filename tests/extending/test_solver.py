@@ -13,7 +13,7 @@ import pytest
 import tissue_sim as ts
 from scenes.figures import draw_simulation
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.parameters import get_parameter_value
 from tissue_sim.pose import interpolate_pose

@@ -10,7 +10,7 @@ import tissue_sim as ts
 from haptics.server.client import TissueClient
 from haptics.server.server import TissueServer
 from scenes.cli import main
-from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.realtime.local_model import LocalModelBlend, SlowSolver
 from tissue_sim.tool_force import ForceStatus

@@ -23,7 +23,7 @@ from scenes.viewer.revolution import WedgeOpening
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
 from scenes.viewer.solid_body import Wedge
-from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.pose import Pose, compute_rigid_motion
 

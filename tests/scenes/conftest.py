@@ -11,7 +11,7 @@ from haptics.loop.process import LoopProcess
 @pytest.fixture(autouse=True)
 def no_log_lines(monkeypatch):
     """Suppress log lines, so that the output of a command does not depend on the speed of this computer."""
-    monkeypatch.setattr("scenes.commands.shared.log_lines.MIN_INTERVAL", math.inf)
+    monkeypatch.setattr("scenes.commands.shared.console.MIN_INTERVAL", math.inf)
 
 
 @pytest.fixture

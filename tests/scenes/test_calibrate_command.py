@@ -12,7 +12,7 @@ from child_environment import child_environment
 import tissue_sim as ts
 from calibration.fit import ordinary
 from scenes.cli import main
-from scenes.commands.shared.text_table import PrintedTableLimits
+from scenes.commands.shared.console import PrintedTableLimits
 
 TRUE = {"C10": 1404.9, "C20": 699.4}
 #: Radius, m.

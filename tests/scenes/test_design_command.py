@@ -1,16 +1,17 @@
-"""`tissue-sim design`: predicted accuracy of planned experiments as tables, as JSON and from Python."""
+"""`tissue-sim design`: predicted accuracy of planned experiments as tables, as a page, as JSON and from Python."""
 
 import json
+from html.parser import HTMLParser
 
 import pytest
 
 from calibration import Design, evaluate_planned_experiments
 from calibration.campaign.parameters import OFFSET_DEFAULTS
 from calibration.diagnosis.settings import LIMITS
-from calibration.effects.backlash import Backlash
-from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.population import Population
-from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.effects.rig import Backlash, MachineCompliance
+from calibration.effects.tissue import Viscoelasticity
+from calibration.forward.simulation_cache import SimulationCache
 from scenes.cli import main
 from tissue_sim.errors import InputError
 
@@ -121,3 +122,121 @@ def test_too_few_samples_or_replicates_are_refused(tmp_path):
                          ({"replicates": 0}, "replicates must be at least 1; got 0")):
         with pytest.raises(InputError, match=words):
             evaluate_planned_experiments(write(tmp_path), **wrong)
+
+
+def run(folder, *words):
+    return main(["design", str(folder / "plan.toml"), "--samples", "60", *map(str, words)])
+
+
+class Cells(HTMLParser):
+    """Texts of the cells of all tables of a page, without blanks, and the number of pictures."""
+
+    def __init__(self):
+        super().__init__()
+        self.cells, self.pictures, self.inside = [], 0, False
+
+    def handle_starttag(self, tag, attributes):
+        self.pictures += tag == "img"
+        if tag in ("td", "th"):
+            self.cells.append("")
+            self.inside = True
+
+    def handle_endtag(self, tag):
+        self.inside &= tag not in ("td", "th")
+
+    def handle_data(self, data):
+        if self.inside:
+            self.cells[-1] += "".join(data.split())
+
+
+#: The plan with a held-out needle test, which has no figure.
+WITH_NEEDLE = PLAN.replace("[fit]", """[[test]]
+name = "needle"
+kind = "needle_indentation"
+tool = "flat"
+tool_radius_mm = 8.0
+protocol = "ramp 2mm @0.2mm/s"
+hold_out = true
+[fit]""")
+
+
+def test_page_terminal_and_json_show_the_same_tables(tmp_path, capsys, monkeypatch):
+    write(tmp_path, WITH_NEEDLE)
+    out = tmp_path / "out"
+    assert run(tmp_path, "-o", out, "--figures-format", "svg") == 0
+    text = capsys.readouterr().out
+    assert text.endswith(f"report: {out / 'report.html'}\n")
+    assert sorted(path.name for path in out.iterdir()) == ["design.json", "report.html", "report_test_1_plates.svg",
+                                                           "solves", "work.json"]
+    content = (out / "report.html").read_text(encoding="utf-8")
+    page = Cells()
+    page.feed(content)
+    assert page.pictures == 1 and "http://" not in content and "https://" not in content
+    found = json.loads((out / "design.json").read_text(encoding="utf-8"))
+    printed = "".join(text.split())
+    assert {each["name"] for each in found["candidates"]} == set(EFFECTS)
+    for each in found["candidates"]:
+        assert "".join(each["title"].split()) in page.cells and "".join(each["title"].split()) in printed
+    numbers = [each for each in page.cells if "±" in each or "mm/N" in each or each.startswith("g1")]
+    assert len(numbers) == 3 and {"plates", "C10"} < {*page.cells}
+    assert all(each in printed for each in (*numbers, "plates", "C10"))
+
+    # The same command reads the folder: a computation would call this function.
+    monkeypatch.setattr("calibration.campaign_design.simulate_noise_free_evidence", None)
+    assert run(tmp_path, "-o", out, "--figures-format", "svg", "--json") == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again == {key: value for key, value in found.items() if key != "work"}
+
+
+def test_results_of_another_design_need_overwrite(tmp_path, capsys):
+    write(tmp_path, RAMP)
+    out = tmp_path / "out"
+    assert run(tmp_path, "-o", out) == 0
+    (out / "notes.txt").write_text("mine", encoding="utf-8")
+    first = (out / "design.json").read_bytes()
+    write(tmp_path)
+    capsys.readouterr()
+    assert run(tmp_path, "-o", out) == 2
+    assert "Choose an empty folder or add --overwrite" in capsys.readouterr().err
+    assert (out / "design.json").read_bytes() == first
+    assert run(tmp_path, "-o", out, "--overwrite") == 0
+    assert (out / "design.json").read_bytes() != first
+    assert (out / "notes.txt").read_text(encoding="utf-8") == "mine"
+
+
+@pytest.mark.parametrize("words", [["--overwrite"], ["--figures-format", "png"]])
+def test_flags_of_the_folder_need_a_folder(words, tmp_path, capsys):
+    write(tmp_path)
+    assert run(tmp_path, *words) == 2
+    assert "need an output folder; add -o OUT" in capsys.readouterr().err
+
+
+def test_an_interrupted_design_says_how_to_resume(tmp_path, capsys, monkeypatch):
+    write(tmp_path)
+    out, fresh = tmp_path / "out", tmp_path / "fresh"
+    store = SimulationCache.store_curve
+
+    def store_two(cache, key, curve):
+        if cache.folder is not None and len(list(cache.folder.glob("*.msgpack"))) == 2:
+            raise KeyboardInterrupt
+        store(cache, key, curve)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(SimulationCache, "store_curve", store_two)
+        assert run(tmp_path, "-o", out) == 130
+    stdout, stderr = capsys.readouterr()
+    assert stdout == "" and stderr.endswith(f"2 simulations are kept in {out / 'solves'}. Run the same command to "
+                                            "resume\n")
+    kept = {path: path.read_bytes() for path in (out / "solves").iterdir()}
+    assert len(kept) == 2 and {path.name for path in out.iterdir()} == {"solves", "work.json"}
+    assert run(tmp_path, "-o", out) == 0 and run(tmp_path, "-o", fresh) == 0
+    assert {path: path.read_bytes() for path in kept} == kept, "no simulation is repeated"
+    assert (out / "design.json").read_bytes() == (fresh / "design.json").read_bytes()
+    assert (out / "report.html").read_bytes() == (fresh / "report.html").read_bytes()
+
+
+def test_a_plan_without_start_writes_nothing(tmp_path, capsys):
+    write(tmp_path, PLAN.replace("start = { C10 = 1500.0 }\n", ""))
+    assert run(tmp_path, "-o", tmp_path / "out") == 2
+    assert "fit.start must give the material of a design" in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["plan.toml"]

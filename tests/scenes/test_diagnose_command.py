@@ -13,8 +13,8 @@ import pytest
 from child_environment import child_environment
 
 import tissue_sim as ts
-from calibration.effects.machine_compliance import MachineCompliance
-from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.effects.rig import MachineCompliance
+from calibration.effects.tissue import Viscoelasticity
 from scenes.cli import main
 
 CAMPAIGN = """
@@ -172,8 +172,8 @@ def test_a_finished_diagnosis_is_read_from_its_folder(answer, study, capsys, mon
 KILLED = """
 import os, signal, sys
 import calibration.diagnosis.proposals as proposals
-from calibration.effects.machine_compliance import MachineCompliance
-from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.effects.rig import MachineCompliance
+from calibration.effects.tissue import Viscoelasticity
 from calibration.forward.simulation_cache import SimulationCache
 from scenes.cli import main
 

@@ -10,19 +10,19 @@ import pytest
 import tissue_sim as ts
 from calibration import diagnose
 from calibration.diagnosis.diagnosis import FoundEffect
-from calibration.effects.backlash import Backlash
-from calibration.effects.machine_compliance import MachineCompliance
-from calibration.effects.viscoelasticity import Viscoelasticity
+from calibration.effects.rig import Backlash, MachineCompliance
+from calibration.effects.tissue import Viscoelasticity
 from scenes.cli import main
 from scenes.commands.demo import make_found_effects_scene_with_plain_curve
-from scenes.demo.hidden_effect import (
+from scenes.demo.hidden_effect_demo import (
     HIDEABLE_EFFECTS,
+    MEASUREMENT,
     PLATES,
     HiddenEffect,
+    build_plain_models,
     choose_hidden_or_no_effect,
     judge_diagnosis_with_sentence,
 )
-from scenes.demo.hidden_effect_demo import MEASUREMENT, build_plain_models
 from scenes.viewer.measurement import compute_force_residual
 from scenes.viewer.session import Session
 

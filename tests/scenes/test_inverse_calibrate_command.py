@@ -17,12 +17,11 @@ from scipy.interpolate import PchipInterpolator
 
 import calibration.fit.generalised as generalised
 import tissue_sim as ts
-from calibration.tasks.errors import WorkerError
 from calibration.tasks.executors import open_task_executor
 from scenes.cli import main
+from scenes.commands.shared.console import PrintedTableLimits
 from scenes.commands.shared.progress import CampaignProgressDisplay
-from scenes.commands.shared.text_table import PrintedTableLimits
-from tissue_sim.errors import ConvergenceError
+from tissue_sim.errors import ConvergenceError, WorkerError
 
 HEAD = """
 [[specimen]]

@@ -7,7 +7,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes.cli import main
-from scenes.commands.shared import log_lines
+from scenes.commands.shared import console
 
 LINE = re.compile(r"\d+:\d\d \S.*")
 SIMULATE = ["simulate", "lubricated_compression", "--radius-mm", "20", "--height-mm", "20", "--depth-mm", "1",
@@ -16,7 +16,7 @@ SIMULATE = ["simulate", "lubricated_compression", "--radius-mm", "20", "--height
 
 @pytest.fixture
 def always(monkeypatch):
-    monkeypatch.setattr(log_lines, "MIN_INTERVAL", 0.0)
+    monkeypatch.setattr(console, "MIN_INTERVAL", 0.0)
 
 
 @pytest.fixture
@@ -40,9 +40,9 @@ def test_json_prints_no_lines(always, material, capsys):
 
 def test_lines_keep_their_interval(monkeypatch, capsys):
     now = 100.0
-    monkeypatch.setattr(log_lines.time, "monotonic", lambda: now)
-    monkeypatch.setattr(log_lines, "MIN_INTERVAL", 60.0)
-    status = log_lines.TaskLogLines()
+    monkeypatch.setattr(console.time, "monotonic", lambda: now)
+    monkeypatch.setattr(console, "MIN_INTERVAL", 60.0)
+    status = console.TaskLogLines()
     for now in (101.0, 159.0, 161.0, 200.0, 230.0):
         status.update(f"at {now:g}")
     assert capsys.readouterr().err == "1:01 at 161\n2:10 at 230\n"

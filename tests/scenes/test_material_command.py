@@ -8,11 +8,10 @@ import tissue_sim as ts
 from scenes.cli import main
 from scenes.commands.material import parse_parameter_settings
 from tissue_sim.errors import InputError
+from tissue_sim.material.force_scaling import Puncture
 from tissue_sim.material.material import Layer
-from tissue_sim.material.poroelasticity import Poroelasticity
-from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import Prony, PronyTerm
+from tissue_sim.material.viscoelasticity import Poroelasticity, Prony, PronyTerm
 
 #: The study's reduced polynomial: E0 8429.6 Pa, mu0 2809.8 Pa.
 NEW = ["material", "new", "--law", "reduced_polynomial_2", "--set", "C10=1404.9", "--set", "C20=699.4"]

@@ -8,7 +8,7 @@ import pytest
 import tissue_sim as ts
 from scenes import draw_simulation
 from scenes.cli import main
-from scenes.commands.shared.text_table import TABLES
+from scenes.commands.shared.console import TABLES
 from scenes.commands.simulate import select_printed_sample_indices
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.rig.file import write_rig

@@ -8,7 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.laws import InvariantLaw, derivation
-from tissue_sim.laws.reduced_polynomial import ReducedPolynomial
+from tissue_sim.laws.polynomials import ReducedPolynomial
 
 STRETCHES = np.linspace(0.5, 2.0, 7)
 

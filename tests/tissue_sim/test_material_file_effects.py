@@ -11,11 +11,10 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from tissue_sim.material.file import make_material_file_from_json_data
+from tissue_sim.material.force_scaling import Puncture
 from tissue_sim.material.material import Layer
-from tissue_sim.material.poroelasticity import Poroelasticity
-from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import Prony, PronyTerm
+from tissue_sim.material.viscoelasticity import Poroelasticity, Prony, PronyTerm
 
 YEOH = ts.Material("reduced_polynomial_3", {"C10": 7702.0, "C20": -63.0, "C30": 248.0}, ts.Bulk("bulk_ratio", 1e3))
 LOSSY = dataclasses.replace(

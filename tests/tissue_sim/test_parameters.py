@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from tissue_sim.experiment.tools.tool import TOOLS
-from tissue_sim.material.parts import (
+from tissue_sim.material.material import (
     _make_component,
     find_parameter_path_and_declaration,
     make_material_from_numbers,

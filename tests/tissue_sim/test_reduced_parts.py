@@ -10,11 +10,11 @@ import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.elements import SampledElements
+from tissue_sim.fem.reduced.reduction import verify_and_get_report_and_factors
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training import make_training_path
-from tissue_sim.fem.reduced.verification import verify_and_get_report_and_factors
 from tissue_sim.fem.solid.tissue import Tissue, find_element_layer_indices
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.solid_element import HEX8P0, TET8P0

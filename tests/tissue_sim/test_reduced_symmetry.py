@@ -8,10 +8,10 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
+from tissue_sim.fem.reduced.reduction import verify_and_get_report_and_factors
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.symmetry import find_symmetries, split_into_involutions_and_cosets
 from tissue_sim.fem.reduced.training import make_training_path
-from tissue_sim.fem.reduced.verification import verify_and_get_report_and_factors
 from tissue_sim.pose import compute_rigid_motion
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from tissue_sim.fem.reduced.reduction import find_covering_factor
 from tissue_sim.fem.reduced.settings import VERIFICATION
-from tissue_sim.fem.reduced.verification import find_covering_factor
 
 #: Errors above this value are substantial, over the rms force.
 SUBSTANTIAL = 0.02

@@ -6,9 +6,8 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.errors import InputError
 from tissue_sim.recording.cleaning import remove_outliers_and_saturation
-from tissue_sim.recording.control import detect_controlled_quantity_and_creep
+from tissue_sim.recording.control import detect_controlled_quantity_and_creep, find_final_oscillation_or_none
 from tissue_sim.recording.measures import MEASURES, convert_recording_to_stretch_and_nominal
-from tissue_sim.recording.oscillation import find_final_oscillation_or_none
 from tissue_sim.recording.outliers import find_outliers_of_motion_and_load
 from tissue_sim.recording.saturation import find_last_digit_step_or_zero
 from tissue_sim.recording.screening import estimate_load_at_zero_displacement

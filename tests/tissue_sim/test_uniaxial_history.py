@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 import tissue_sim as ts
 from tissue_sim.closed_form.histories import StrainHistory, nominal_stress_history, shear_stress_history
 from tissue_sim.material.material import Layer
-from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import Prony, PronyTerm
+from tissue_sim.material.viscoelasticity import Poroelasticity, Prony, PronyTerm
 
 STUDY = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4})
 RELAXING = dataclasses.replace(STUDY, viscoelastic=Prony((PronyTerm(0.3, 2.0),)))

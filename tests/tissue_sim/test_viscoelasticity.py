@@ -9,11 +9,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 import tissue_sim as ts
+from tissue_sim.material.force_scaling import Puncture
 from tissue_sim.material.material import Layer
-from tissue_sim.material.poroelasticity import Poroelasticity
-from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import Prony, PronyTerm, compute_internal_stress_history_over_g
+from tissue_sim.material.viscoelasticity import Poroelasticity, Prony, PronyTerm, compute_internal_stress_history_over_g
 
 SERIES = Prony((PronyTerm(0.3, 2.0), PronyTerm(0.2, 50.0)))
 NEO_HOOKE = ts.Material("neo_hooke", {"C10": 1000.0})

@@ -4,12 +4,9 @@ To add a law, write its class in a file of this folder and add one line to `LAWS
 a law by an entry point of the group ``tissue_sim.laws``, a program by `register_law`.
 """
 
-from tissue_sim.laws.biderman import Biderman
 from tissue_sim.laws.law import InvariantLaw, KernelEnergy, Law, StretchLaw
-from tissue_sim.laws.mooney_rivlin import MooneyRivlin
-from tissue_sim.laws.neo_hooke import NeoHooke
 from tissue_sim.laws.ogden import Ogden
-from tissue_sim.laws.reduced_polynomial import ReducedPolynomial
+from tissue_sim.laws.polynomials import Biderman, MooneyRivlin, NeoHooke, ReducedPolynomial
 from tissue_sim.laws.stability import StabilityRange, find_stability_range
 from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.registry import Registry

@@ -178,6 +178,6 @@ class CombinedForceFactor:
 #: Name -> class of an effect.
 EFFECTS: Registry[type[TissueEffect]] = Registry(
     "effect of the tissue", "tissue_sim.effects",
-    {"stiffness_scale": "tissue_sim.material.stiffness_scale:StiffnessScale"},
+    {"stiffness_scale": "tissue_sim.material.force_scaling:StiffnessScale"},
     accepts=make_parameter_dataclass_predicate(TissueEffect),
     expected="a frozen dataclass that derives from tissue_sim.TissueEffect and declares its parameters")

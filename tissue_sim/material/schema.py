@@ -17,11 +17,10 @@ from tissue_sim.decode import decode_struct
 from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
 from tissue_sim.laws import find_law
 from tissue_sim.material.effect import EFFECTS
+from tissue_sim.material.force_scaling import Puncture
 from tissue_sim.material.material import Bulk, Layer, Material
-from tissue_sim.material.poroelasticity import Poroelasticity
-from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import FORM, Prony, PronyTerm
+from tissue_sim.material.viscoelasticity import FORM, Poroelasticity, Prony, PronyTerm
 from tissue_sim.parameters import list_field_declarations, make_from_file_values
 from tissue_sim.units import UNITS, get_si_factor_and_offset
 

@@ -1,4 +1,4 @@
-"""Finite-strain viscoelasticity by a Prony series.
+"""Finite-strain viscoelasticity by a Prony series, and drainage of pore fluid as one relaxing term.
 
 The hereditary integral acts on the isochoric second Piola-Kirchhoff stress S of the law ("isochoric_second_piola" in
 files): S_visc(t) = (1 - sum g_i) S(t) + sum Q_i(t) with dQ_i/dt + Q_i/tau_i = g_i dS/dt (Holzapfel, Nonlinear Solid
@@ -148,3 +148,41 @@ def _compute_decay_and_gain_over_g(dt, tau: np.ndarray) -> tuple[np.ndarray, np.
     """Return decay_i and gain_i / g_i of steps of length dt, s; shapes (*dt.shape, terms)."""
     x = np.asarray(dt, dtype=float)[..., None] / tau
     return np.exp(-x), np.where(x > 0, -np.expm1(-x) / np.where(x > 0, x, 1.0), 1.0)
+
+
+@with_old_names(term="make_prony_term")
+@dataclass(frozen=True)
+class Poroelasticity:
+    """Drainage of pore fluid in reduced form: one relaxing term whose time grows with the size of the contact.
+
+    Fluid leaves the loaded region by diffusion, with the time tau = a^2 / D and the contact radius a of each test: the
+    radius of the specimen under a plate, the radius of a flat tool, and approximately the radius of the contact at the
+    largest depth of a pointed tool. The pressure of the fluid is not computed.
+
+    Attributes:
+        phi: fraction of the instantaneous stiffness that is lost by drainage; 0 is absent.
+        diffusivity: D, m^2/s.
+
+    Source: scaling of Hu, Zhao, Vlassak and Suo, Appl. Phys. Lett. 96 (2010) 121904.
+    """
+
+    phi: float = parameter("phi", "1", key="phi", bounds=(1e-6, 0.99), absent=0.0)
+    diffusivity: float = parameter("D", "m2/s", key="diffusivity_mm2_per_s", factor=1e-6, bounds=(1e-12, 1.0))
+
+    def __post_init__(self):
+        if not 0 <= self.phi < 1:
+            raise InputError(f"must be a fraction of the stiffness from 0 to below 1; got {self.phi:g}.", field="phi")
+        if not 0 < self.diffusivity < np.inf:
+            raise InputError(f"must be positive and finite; got {self.diffusivity:g} m^2/s.", field="diffusivity")
+
+    def make_prony_term(self, contact_radius: float | None) -> PronyTerm:
+        """Return the relaxing term of a test with a contact radius, m; phi must be above 0.
+
+        Raises:
+            InputError: the radius is None, not positive or not finite.
+        """
+        if contact_radius is None:
+            raise InputError("must be given, in m, for a material that drains.", field="contact_radius")
+        if not 0 < contact_radius < np.inf:
+            raise InputError(f"must be positive and finite; got {contact_radius:g} m.", field="contact_radius")
+        return PronyTerm(self.phi, contact_radius**2 / self.diffusivity)

@@ -11,9 +11,8 @@ import numpy as np
 from tissue_sim.experiment.kinds.kind import KINDS, STRETCH_STRESS, TestKind
 from tissue_sim.public_names import OldName
 from tissue_sim.recording.contact import Contact, find_contact
-from tissue_sim.recording.control import find_creep_intervals
+from tissue_sim.recording.control import find_creep_intervals, find_final_oscillation_or_none
 from tissue_sim.recording.failure import Failure, find_failure
-from tissue_sim.recording.oscillation import find_final_oscillation_or_none
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segmentation import label_reloads_and_cycles, label_samples_ramp_hold_unload
 

@@ -88,7 +88,7 @@ def _write_new_material(arguments: Namespace) -> CommandResult:
 
     def print_moduli(console: Console) -> None:
         """Print the written file and the moduli of the material."""
-        from calibration.report.units import format_pressure
+        from calibration.report.quantities import format_pressure
 
         relaxed = "" if material.viscoelastic is None else f", long-term mu {format_pressure(material.mu_long_term)}"
         console.print(f"wrote {arguments.output}: E0 {format_pressure(material.E0)}, "

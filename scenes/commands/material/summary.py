@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import msgspec
 import numpy as np
 
-from calibration.report.units import format_pressure
+from calibration.report.quantities import format_pressure
 from tissue_sim.laws import find_stability_range
 from tissue_sim.material.file import EFFECTS
 

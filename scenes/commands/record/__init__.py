@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenes.commands.shared.command import Command, CommandResult, ExitCode
-from scenes.commands.shared.console import make_progress_console
+from scenes.commands.shared.console import make_progress_console, make_table_with_headings, print_sentence
 from scenes.commands.shared.experiment_flags import load_material_or_study_silicone
 from scenes.commands.shared.parsing import InputErrorArgumentParser
-from scenes.commands.shared.text_table import make_table_with_headings, print_sentence
-from scenes.stop_signals import call_stop_at_signals
 from tissue_sim.errors import InputError
+from tissue_sim.signals import call_stop_at_signals
 
 if TYPE_CHECKING:
     from rich.console import Console

@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from scenes.commands.shared.command import Command, CommandResult, Need
-from scenes.commands.shared.console import make_progress_console
-from scenes.commands.shared.log_lines import TaskLogLines
+from scenes.commands.shared.console import TaskLogLines, make_progress_console
 from scenes.commands.shared.parsing import InputErrorArgumentParser, add_overwrite_flag, make_integer_parser
 
 if TYPE_CHECKING:
@@ -60,7 +59,8 @@ def progress_and_resume_hint_context(arguments: Namespace, last_file: str) -> It
             yield progress
     except KeyboardInterrupt:
         # Until the run writes its stamp, --overwrite leaves the results of another run in the folder.
-        if not arguments.overwrite or get_work_file_time_and_inode_or_none(arguments.output) != stamp:
+        if arguments.output is not None and (
+                not arguments.overwrite or get_work_file_time_and_inode_or_none(arguments.output) != stamp):
             arguments.resume_hint = describe_kept_results_and_resuming(arguments, last_file)
         raise
 
@@ -104,13 +104,15 @@ def add_optional_figure_files_flag(parser: InputErrorArgumentParser) -> None:
                         help="also write each figure of the report as a file of this format")
 
 
-def get_work_file_time_and_inode_or_none(output: Path) -> tuple[int, int] | None:
-    """Identify the calibration or diagnosis to which a result folder belongs.
+def get_work_file_time_and_inode_or_none(output: Path | None) -> tuple[int, int] | None:
+    """Identify the calibration, diagnosis or design to which a result folder belongs.
 
     Returns:
-        Modification time, ns, and inode of ``work.json`` in the folder; None without this file. Two equal results mean
-        that no other calibration or diagnosis has taken the folder over.
+        Modification time, ns, and inode of ``work.json`` in the folder; None without this file or without a folder. Two
+        equal results mean that no other calibration, diagnosis or design has taken the folder over.
     """
+    if output is None:
+        return None
     try:
         file = (output / "work.json").stat()
     except OSError:

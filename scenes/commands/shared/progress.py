@@ -13,8 +13,7 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from scenes.commands.shared.log_lines import TaskLogLines, format_minutes_and_seconds
-from scenes.commands.shared.text_table import make_table_with_headings
+from scenes.commands.shared.console import TaskLogLines, format_minutes_and_seconds, make_table_with_headings
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:

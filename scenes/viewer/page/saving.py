@@ -16,8 +16,8 @@ import numpy as np
 import viser
 
 from calibration.report.png import render_png
+from scenes.catalogue import make_kind_specimen_tool_metadata
 from scenes.field_labels import LABELS
-from scenes.provenance import make_kind_specimen_tool_metadata
 from scenes.viewer.frame import SessionFrame
 from scenes.viewer.measurement import interpolate_loading_and_unloading
 from scenes.viewer.page.readouts import FAILED, make_browser_reply_function, notify_browser_unless_none, send_download

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from virtual_campaign import TESTS, TRUTH, fitted, measured_campaign
 
-from calibration.diagnosis.extended import add_effect_to_problem_and_campaign
-from calibration.effects.catalogue import CATALOGUE
-from calibration.effects.effect import NotTestableError
+from calibration.diagnosis.proposals import add_effect_to_problem_and_campaign
+from calibration.effects.effect import CATALOGUE, NotTestableError
 
 #: Effects whose scores need no or few simulations.
 CHEAP = ("session_scale", "partial_slip", "contact_offset", "backlash", "zero_offset", "sensor_drift", "sensor_gain",

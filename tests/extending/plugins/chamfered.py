@@ -4,8 +4,7 @@ import math
 from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.tools.outline import SHAFT_LENGTH, Profile, radius
-from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.experiment.tools.tool import SHAFT_LENGTH, Profile, Tool, radius
 from tissue_sim.parameters import parameter
 
 

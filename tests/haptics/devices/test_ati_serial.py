@@ -23,8 +23,7 @@ from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.emulators import ati_serial as emulation
 from haptics.emulators.ati_serial import AtiSerialEmulator
-from haptics.emulators.emulator import make_emulator
-from haptics.emulators.terminal import SerialDeviceEmulator
+from haptics.emulators.emulator import SerialDeviceEmulator, make_emulator
 from haptics.protocols.ati_serial import (
     AtiSerialRecord,
     decode_ascii_record_or_none,

@@ -9,7 +9,7 @@ from waiting import wait_for_value
 import tissue_sim as ts
 from scenes.commands.shared.experiment_flags import load_material_or_study_silicone
 from scenes.viewer.scene import Scene
-from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 
 
 @pytest.fixture(scope="session")

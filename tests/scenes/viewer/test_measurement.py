@@ -14,7 +14,7 @@ from scenes.viewer.measurement import (
     interpolate_loading_and_unloading,
     make_first_cycle_motion_protocol,
 )
-from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 from tissue_sim.recording.segmentation import find_loading_and_unloading_indices
 
 DEPTH = 10e-3

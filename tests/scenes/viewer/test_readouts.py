@@ -17,7 +17,7 @@ from scenes.viewer.page.readouts import (
     status_html,
 )
 from scenes.viewer.scene import Scene
-from tissue_sim.experiment.kinds.indentation import NEEDLE
+from tissue_sim.experiment.kinds.standard_tests import NEEDLE
 
 NOW = SimulationReadouts(time=3.0, depth=5.678e-3, force=1.2344, stiffness=211.0, step_time=0.31e-3, iterations=0.84,
                          rate=999.7,

@@ -11,9 +11,8 @@ from hypothesis import strategies as st
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from haptics.loop.ring import PAUSED, TICK
-from scenes.catalogue import SCENES
+from scenes.catalogue import SCENES, make_kind_specimen_tool_metadata
 from scenes.cli import main
-from scenes.provenance import make_kind_specimen_tool_metadata
 from scenes.viewer.page.saving import make_trace_file_bytes_by_name
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch_force, make_csv_and_sidecar_bytes_by_name

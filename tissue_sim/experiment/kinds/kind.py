@@ -238,8 +238,10 @@ class TestKind:
 
 #: Name -> kind of test.
 KINDS: Registry[TestKind] = Registry("kind of test", "tissue_sim.kinds", {
-    name: f"tissue_sim.experiment.kinds.{place}" for name, place in {
-        "lubricated_compression": "compression:LUBRICATED", "bonded_compression": "compression:BONDED",
-        "friction_compression": "compression:FRICTION", "needle_indentation": "indentation:NEEDLE",
-        "uniaxial_tension": "gripped:TENSION", "simple_shear": "gripped:SHEAR"}.items()},
-    accepts=lambda kind: isinstance(kind, TestKind), expected="a tissue_sim.TestKind")
+    "lubricated_compression": "tissue_sim.experiment.kinds.standard_tests:LUBRICATED",
+    "bonded_compression": "tissue_sim.experiment.kinds.standard_tests:BONDED",
+    "friction_compression": "tissue_sim.experiment.kinds.standard_tests:FRICTION",
+    "needle_indentation": "tissue_sim.experiment.kinds.standard_tests:NEEDLE",
+    "uniaxial_tension": "tissue_sim.experiment.kinds.standard_tests:TENSION",
+    "simple_shear": "tissue_sim.experiment.kinds.standard_tests:SHEAR",
+}, accepts=lambda kind: isinstance(kind, TestKind), expected="a tissue_sim.TestKind")

@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.tools.outline import SHAFT_LENGTH, Profile, edge_radius
-from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.experiment.tools.tool import SHAFT_LENGTH, Profile, Tool, edge_radius
 
 if TYPE_CHECKING:
     import numpy as np

@@ -7,7 +7,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from tissue_sim.experiment.tools.outline import Profile
+from tissue_sim.experiment.tools.tool import Profile
 from tissue_sim.fem.axisymmetric.array_layouts import SURFACE_ARRAYS
 from tissue_sim.fem.contact.pairs import ContactPair, ContactPairs, PenaltySettings
 from tissue_sim.fem.taichi.origins import copy_to_addressable_array
@@ -101,7 +101,7 @@ class ContactPoints:
         shapes: shape functions of these nodes at the point, shape (n, a).
         spans: columns of `OutlineSpanColumn`, shape (n, 5).
         lines: line segments of the outlines of all bodies, one outline after the other, with the columns
-            `tissue_sim.experiment.tools.outline.OutlineLineColumn`, shape (lines, 5).
+            `tissue_sim.experiment.tools.tool.OutlineLineColumn`, shape (lines, 5).
         rounding: edge radius of each point's body, m, shape (n,).
         friction: coefficients of the face and of the shaft of each point's body, shape (n, 2).
         places: (r, z) of the undeformed points, m, shape (n, 2).

@@ -12,7 +12,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tissue_sim.experiment.tools.outline import OutlineLineColumn, Profile
+from tissue_sim.experiment.tools.tool import OutlineLineColumn, Profile
 from tissue_sim.fem.solver import Solver
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
@@ -39,7 +39,7 @@ class ContactSurface:
         friction: coefficients of friction of the tool's face and of its shaft, -1 for no slip, shape (s, 2).
         outlines: index of the outline that each node may touch, shape (s,).
         chains: line segments of the outlines, with the columns
-            `tissue_sim.experiment.tools.outline.OutlineLineColumn`, shape (outlines, lines, 5).
+            `tissue_sim.experiment.tools.tool.OutlineLineColumn`, shape (outlines, lines, 5).
         shapes: constants of the outlines, shape (outlines, 5): edge radius, m; index of the first segment of the
             shaft; 1 if a sharp shaft is extended downwards; number of segments; radius below which a point counts as
             on the axis, m.

@@ -14,8 +14,8 @@ import numpy as np
 
 from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.experiment.tools.outline import Profile
-from tissue_sim.experiment.tools.plate import PLATE_RADIUS, Plate
+from tissue_sim.experiment.tools.shapes import PLATE_RADIUS, Plate
+from tissue_sim.experiment.tools.tool import Profile
 from tissue_sim.fem.solver import ExperimentDerivatives
 
 #: Coefficient of friction that stands for an interface without slip, 1.

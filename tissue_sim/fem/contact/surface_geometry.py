@@ -4,7 +4,7 @@ In the plane through the axis and the point, the nearest point is that of the ou
 The principal curvatures of the offset surface through the point belong to the meridian and to the circumference.
 
 The plane function is shared by the axisymmetric, reduced and condensed solvers;
-`tissue_sim.experiment.tools.outline.Profile.compute_distances_to_polyline` is the same algorithm for NumPy arrays.
+`tissue_sim.experiment.tools.tool.Profile.compute_distances_to_polyline` is the same algorithm for NumPy arrays.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from tissue_sim.experiment.tools.outline import OutlineLineColumn
+from tissue_sim.experiment.tools.tool import OutlineLineColumn
 from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 

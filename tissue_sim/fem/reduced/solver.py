@@ -25,8 +25,7 @@ from tissue_sim.fem.reduced.settings import SETTINGS, TOLERANCE
 from tissue_sim.fem.solid.batches import compute_quadrature_volumes_gradients_modes
 from tissue_sim.fem.solid.contact import ToolFrame
 from tissue_sim.fem.solid.discretisation import make_contact_pairs_and_datum
-from tissue_sim.fem.solid.fields import SolidFields, SolidSurface, extract_deformed_surface
-from tissue_sim.fem.solid.state import SavedState
+from tissue_sim.fem.solid.fields import SavedState, SolidFields, SolidSurface, extract_deformed_surface
 from tissue_sim.fem.solid.tissue import compute_node_shear_moduli, get_modulus_ratios_of_layer_indices
 from tissue_sim.fem.solver import Fields, StaticStiffnessRequest, Step, StepStatus
 from tissue_sim.material.material import Material

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.experiment.tools.outline import OutlineLineColumn
+from tissue_sim.experiment.tools.tool import OutlineLineColumn
 from tissue_sim.fem.solid.contact import ContactNodes, ToolFrame
 from tissue_sim.fem.solid.equations import SolidEquations
 from tissue_sim.mesh.solid import SolidMesh

@@ -29,7 +29,7 @@ from tissue_sim.fem.solid.contact import (
     differentiate_rotated_forces,
     differentiate_torque_by_levers,
 )
-from tissue_sim.fem.solid.state import SavedState
+from tissue_sim.fem.solid.fields import SavedState
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh

@@ -15,9 +15,8 @@ from tissue_sim.fem.linear.sparse import Factor
 from tissue_sim.fem.solid.coarse_surface import coarse_surface_warnings, estimate_coarse_surface_error_or_none
 from tissue_sim.fem.solid.contact import ContactViolationAndCounts, ToolFrame
 from tissue_sim.fem.solid.equations import ReusableTangentFactor, SolidEquations
-from tissue_sim.fem.solid.fields import SolidFields, SolidSurface, extract_deformed_surface
+from tissue_sim.fem.solid.fields import FieldSample, SavedState, SolidFields, SolidSurface, extract_deformed_surface
 from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives, SolidSensitivity
-from tissue_sim.fem.solid.state import FieldSample, SavedState
 from tissue_sim.fem.solid.touch import FirstTouchHeightAndSolverMaker
 from tissue_sim.fem.solver import (
     AT_REST,

@@ -20,7 +20,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_bytes, read_first_bytes_or_empty
-from tissue_sim.recording.formats.containers import import_optional_package
+from tissue_sim.recording.formats.sheets import import_optional_package
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 
 #: Modality of afmformats -> names of its segments in order. A relaxation begins with a rest above the tissue.

@@ -26,7 +26,6 @@ from tissue_sim.recording.formats.blocks import (
     find_table_and_blocks_by_column_names,
     iterate_table_for_each_delimiter,
 )
-from tissue_sim.recording.formats.containers import is_mat_tdms_or_hdf5_file, read_container_tables_as_sheets
 from tissue_sim.recording.formats.decimal_mark import DecimalAndThousandsMarks, detect_decimal_and_thousands_marks
 from tissue_sim.recording.formats.long_text import (
     NotPlainNumbersError,
@@ -34,6 +33,14 @@ from tissue_sim.recording.formats.long_text import (
     try_splitting_off_trailing_numbers,
 )
 from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, is_number_with_either_mark
+from tissue_sim.recording.formats.sheets import (
+    Sheet,
+    is_mat_tdms_or_hdf5_file,
+    is_workbook,
+    read_container_tables_as_sheets,
+    read_sheet,
+    read_sheets,
+)
 from tissue_sim.recording.formats.table import (
     ChannelColumn,
     Table,
@@ -44,7 +51,6 @@ from tissue_sim.recording.formats.table import (
     list_cells_of_each_number_column,
     select_cells_and_drop_blank_rows,
 )
-from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
 from tissue_sim.recording.measures import convert_recording_to_stretch_and_nominal, require_valid_measure
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import split_header_and_known_unit, split_header_with_brackets

@@ -16,9 +16,14 @@ from tissue_sim.recording.formats.blocks import (
     row_begins_with_word,
 )
 from tissue_sim.recording.formats.columns import Sheets, validate_delimiter
-from tissue_sim.recording.formats.containers import is_mat_tdms_or_hdf5_file, read_container_tables_as_sheets
 from tissue_sim.recording.formats.long_text import try_splitting_off_trailing_numbers
 from tissue_sim.recording.formats.number_text import is_number_with_either_mark
+from tissue_sim.recording.formats.sheets import (
+    is_mat_tdms_or_hdf5_file,
+    is_workbook,
+    read_container_tables_as_sheets,
+    read_sheets,
+)
 from tissue_sim.recording.formats.table import (
     Table,
     TableRow,
@@ -27,7 +32,6 @@ from tissue_sim.recording.formats.table import (
     split_text_into_rows,
 )
 from tissue_sim.recording.formats.vocabulary import classify_size_name
-from tissue_sim.recording.formats.workbook import is_workbook, read_sheets
 from tissue_sim.recording.recording import MIN_POINTS
 from tissue_sim.units import find_known_unit_or_none, split_header_and_known_unit, split_header_with_brackets
 

@@ -42,6 +42,7 @@ from tissue_sim.recording.formats.kind_guess import (
     make_hints_from_file_top_and_text_sheets,
     make_hints_from_text_above_and_sheet_name,
     make_kind_assumption,
+    set_column_signs_and_zeros,
 )
 from tissue_sim.recording.formats.kind_words import KindHint
 from tissue_sim.recording.formats.materials import (
@@ -49,7 +50,6 @@ from tissue_sim.recording.formats.materials import (
     split_table_group_by_material_and_size,
 )
 from tissue_sim.recording.formats.number_text import is_number_with_either_mark, split_number_and_unit
-from tissue_sim.recording.formats.orientation import set_column_signs_and_zeros
 from tissue_sim.recording.formats.pairing import (
     RecordingColumns,
     find_column_named_by_user_or_none,

@@ -8,8 +8,8 @@ from typing import Any
 
 from tissue_sim.recording.formats.columns import Sheets, read_recordings_from_columns
 from tissue_sim.recording.formats.native import read_native_rows
+from tissue_sim.recording.formats.sheets import Sheet, read_sheet, read_sheets
 from tissue_sim.recording.formats.table import select_cells_and_drop_blank_rows
-from tissue_sim.recording.formats.workbook import Sheet, read_sheet, read_sheets
 from tissue_sim.recording.recording import Recording
 
 
