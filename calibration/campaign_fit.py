@@ -52,7 +52,7 @@ from calibration.report.outputs import (
     write_failure_report,
     write_summary_table,
 )
-from calibration.statistics.statistics import ParameterUncertainty
+from calibration.statistics.uncertainty import ParameterUncertainty
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.settings import get_changed_settings_by_name
 

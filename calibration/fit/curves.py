@@ -18,7 +18,7 @@ from calibration.fit.population import PredictionParameters
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter
-from calibration.statistics.statistics import (
+from calibration.statistics.uncertainty import (
     KNOWN_VARIANCE,
     ParameterUncertainty,
     ScatterComponent,

@@ -47,7 +47,8 @@ from calibration.fit.usability import (
 from calibration.forward.contract import ForwardTest, InfeasibleError, StretchRange
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter
-from calibration.statistics.statistics import ParameterUncertainty, compute_aic_and_bic, compute_correlation_matrix
+from calibration.statistics.statistics import compute_aic_and_bic, compute_correlation_matrix
+from calibration.statistics.uncertainty import ParameterUncertainty
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.laws import StabilityRange, find_law, find_stability_range
 from tissue_sim.laws.stability import STRETCH_RANGE

@@ -40,7 +40,8 @@ from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.forms import build_forward_test_of_inverse_fit
 from calibration.statistics.jitter import ContactAndForceZeroJitter
-from calibration.statistics.statistics import NOISE_RATIOS, ParameterUncertainty, compute_r_squared
+from calibration.statistics.statistics import NOISE_RATIOS, compute_r_squared
+from calibration.statistics.uncertainty import ParameterUncertainty
 from tissue_sim.errors import InputError
 from tissue_sim.laws import find_law, find_stability_range
 

@@ -21,7 +21,7 @@ from calibration.forward.contract import ForwardTest
 from calibration.forward.meshes import get_solver_fit_resolutions
 from calibration.forward.motion import compute_force_derivative_by_offset
 from calibration.forward.simulated import SimulatedTest
-from calibration.statistics.statistics import COVARIANCE, ParameterUncertainty
+from calibration.statistics.uncertainty import COVARIANCE, ParameterUncertainty
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment

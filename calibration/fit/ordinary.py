@@ -44,12 +44,8 @@ from calibration.forward.contract import ForwardTest
 from calibration.forward.forms import build_closed_form_or_column_test
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter
-from calibration.statistics.statistics import (
-    NOISE_RATIOS,
-    ParameterUncertainty,
-    compute_cluster_robust_uncertainty,
-    compute_r_squared,
-)
+from calibration.statistics.statistics import NOISE_RATIOS, compute_r_squared
+from calibration.statistics.uncertainty import ParameterUncertainty, compute_cluster_robust_uncertainty
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.material.material import find_parameter_path_and_declaration

@@ -17,7 +17,7 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.fit import ParameterCovariance, PopulationRecord
 from calibration.statistics.adequacy import compute_orthonormal_basis
 from calibration.statistics.population import POPULATION, estimate_population
-from calibration.statistics.statistics import ParameterUncertainty, ScatterComponent
+from calibration.statistics.uncertainty import ParameterUncertainty, ScatterComponent
 
 
 @dataclass(frozen=True)

@@ -23,7 +23,8 @@ from calibration.fit.problem import LeastSquaresProblem, ProblemEvaluation
 from calibration.fit.trust_region import minimise_from_start
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.statistics.jitter import ContactAndForceZeroJitter
-from calibration.statistics.statistics import NOISE_RATIOS, ParameterUncertainty
+from calibration.statistics.statistics import NOISE_RATIOS
+from calibration.statistics.uncertainty import ParameterUncertainty
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,7 +22,7 @@ from tissue_sim.laws import Law
 
 if TYPE_CHECKING:
     from calibration.campaign.parameter_space import ParameterSpace
-    from calibration.statistics.statistics import ParameterUncertainty
+    from calibration.statistics.uncertainty import ParameterUncertainty
 
 
 @dataclass(frozen=True)

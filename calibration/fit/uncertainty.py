@@ -17,7 +17,7 @@ from calibration.fit.fit import Fit, WindowFit
 from calibration.fit.problem import GeneralisedProblem, LeastSquaresProblem, ProblemEvaluation
 from calibration.fit.trust_region import minimise_from_start
 from calibration.forward.contract import InfeasibleError
-from calibration.statistics.statistics import COVARIANCE, ParameterUncertainty, get_inverse_root_and_undetermined_mask
+from calibration.statistics.uncertainty import COVARIANCE, ParameterUncertainty, get_inverse_root_and_undetermined_mask
 from tissue_sim.recording.recording import MIN_POINTS
 
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from calibration.forward.motion import TimedMotion
-from calibration.statistics.statistics import ScatterComponent, compute_prediction_band_half_widths
+from calibration.statistics.uncertainty import ScatterComponent, compute_prediction_band_half_widths
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,13 @@ from scipy.sparse import csr_array
 from calibration.statistics.statistics import (
     compute_aic_and_bic,
     compute_chi_square_and_effective_samples,
-    compute_cluster_robust_uncertainty,
     compute_correlation_matrix,
     compute_r_squared,
     estimate_white_noise,
     find_quantisation_step,
     get_effective_samples_and_variance_ratio,
 )
+from calibration.statistics.uncertainty import compute_cluster_robust_uncertainty
 
 
 def linear_problem(rng, replicates=5, points=40, jitter=0.0, noise=1.0):
