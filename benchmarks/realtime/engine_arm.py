@@ -15,26 +15,59 @@ from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.pose import Pose
 from tissue_sim.realtime.engines.mujoco import MujocoTissue
 
-#: A third of the study's cylinder; the whole solid takes too long on the cylinder of 80 x 70 mm.
-MODEL = ts.Model(ts.Experiment(ts.Specimen(0.030, 0.020), ts.Protocol.ramp(3e-3, 2), friction="bonded",
-                               tool=ts.Tool("flat", radius=8e-3)),
-                 ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3)))
-#: Box of the reduced solid; the motion fills two thirds.
-BOX = ts.PoseBox(sideways=2.5e-3, depth=4.5e-3, turn=math.radians(2.0))
+
+@dataclass(frozen=True)
+class ArmTest:
+    """Test of an arm.
+
+    Attributes:
+        name: of the specimen.
+        model: experiment and material.
+        box: box of the reduced solid, larger than the motion.
+        depth: of the tip, m.
+        sideways: displacement of the tip to the side, m, along (0.8, 0.6).
+        tissues: kinds of solids that are tried.
+    """
+
+    name: str
+    model: ts.Model
+    box: ts.PoseBox
+    depth: float
+    sideways: float
+    tissues: tuple[str, ...]
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Corners of the path of the tip, m, and times of the motion to each, s, shape (n, 4)."""
+        x, y, z = 0.8 * self.sideways, 0.6 * self.sideways, -self.depth
+        return np.array([(0.0, 0.0, self.depth / 6.0, 0.0), (0.0, 0.0, z, 1.2), (0.0, 0.0, z, 0.2), (x, y, z, 0.8),
+                         (x, y, z, 0.2), (0.0, 0.0, 0.0, 1.2), (0.0, 0.0, 0.0, 0.2)])
+
+
+def make_model(specimen: ts.Specimen, depth: float, bulk_ratio: float) -> ts.Model:
+    """Make a test with a bonded flat needle of 8 mm radius in the silicone of the study."""
+    material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", bulk_ratio))
+    return ts.Model(ts.Experiment(specimen, ts.Protocol.ramp(depth, 2), friction="bonded",
+                                  tool=ts.Tool("flat", radius=8e-3)), material)
+
+
+#: Small cylinder, for which the whole solid is affordable in each step, and the cylinder of the study.
+TESTS = (ArmTest("60 x 20 mm", make_model(ts.Specimen(0.030, 0.020), 3e-3, 1e3),
+                 ts.PoseBox(sideways=2.5e-3, depth=4.5e-3, turn=math.radians(2.0)), 3e-3, 1.5e-3,
+                 ("whole", "reduced", "multirate")),
+         ArmTest("80 x 70 mm", make_model(ts.Specimen(0.040, 0.070), 10e-3, 1e4),
+                 ts.PoseBox(sideways=6.5e-3, depth=12e-3, turn=math.radians(2.0)), 10e-3, 5e-3,
+                 ("reduced", "multirate")))
+
 #: Step of the engine, s.
 STEP = 2e-3
 #: Every how many poses of a run the quasi-static solid is solved offline.
 SPARSE = 5
-#: Corners of the path of the tip, m, and times of the motion to each, s.
-CORNERS = ((0.0, 0.0, 0.5e-3, 0.0), (0.0, 0.0, -3e-3, 1.2), (0.0, 0.0, -3e-3, 0.2), (1.2e-3, 0.9e-3, -3e-3, 0.8),
-           (1.2e-3, 0.9e-3, -3e-3, 0.2), (0.0, 0.0, 0.0, 1.2), (0.0, 0.0, 0.0, 0.2))
 
 MJCF = f"""<mujoco><option timestep="{STEP}" integrator="implicitfast"/>
 <default><joint type="hinge" axis="0 1 0" damping="1" armature="0.01"/><geom contype="0" conaffinity="0"/>
 <position kp="2000" kv="40"/></default>
-<visual><global offwidth="480" offheight="360"/></visual>
-<worldbody><light pos="0 -1 1"/><site name="tissue"/>
-<geom type="cylinder" size=".03 .01" pos="0 0 -.01" rgba=".9 .5 .5 1"/>
+<worldbody><site name="tissue"/>
 <body name="base" pos="-.311127 0 .1" gravcomp="1"><joint name="yaw" axis="0 0 1"/>
 <geom type="cylinder" size=".03 .06" pos="0 0 -.06" mass="2"/>
 <body name="upper" gravcomp="1"><joint name="shoulder"/>
@@ -63,10 +96,10 @@ class ArmRun:
     wall: float
 
 
-def compute_path(step: float = STEP) -> np.ndarray:
+def compute_path(test: ArmTest, step: float = STEP) -> np.ndarray:
     """Return the target of the tip at each step, m, shape (steps, 3), with half cosines between corners."""
-    corners, path = np.array(CORNERS), []
-    for before, after in pairwise(corners):
+    path = []
+    for before, after in pairwise(test.corners):
         count = round(after[3] / step)
         part = 0.5 - 0.5 * np.cos(np.pi * np.arange(count) / count)
         path.append(before[:3] + part[:, None] * (after - before)[:3])
@@ -96,12 +129,12 @@ def solve_inverse_kinematics(model, path: np.ndarray) -> np.ndarray:
     return np.array(angles)
 
 
-def run_arm(tissue, on_step=None) -> ArmRun:
-    """Move the arm along the path with a tissue; `on_step(model, data)` is called before each step."""
+def run_arm(test: ArmTest, tissue) -> ArmRun:
+    """Move the arm along the path of a test with a tissue."""
     import mujoco
 
     model = mujoco.MjModel.from_xml_string(MJCF)
-    angles = solve_inverse_kinematics(model, compute_path(model.opt.timestep))
+    angles = solve_inverse_kinematics(model, compute_path(test))
     data = mujoco.MjData(model)
     data.qpos[:] = angles[0]
     mujoco.mj_forward(model, data)
@@ -112,8 +145,6 @@ def run_arm(tissue, on_step=None) -> ArmRun:
         began = time.perf_counter()
         for target in angles:
             data.ctrl[:] = target
-            if on_step is not None:
-                on_step(model, data)
             wrench = coupled.step()
             poses.append(wrench.pose)
             forces.append(wrench.force)
@@ -122,16 +153,16 @@ def run_arm(tissue, on_step=None) -> ArmRun:
     return ArmRun(poses, np.array(forces), statuses, texts, time.perf_counter() - began)
 
 
-def make_whole_solid(inertia: str) -> ts.Simulator:
+def make_whole_solid(model: ts.Model, inertia: str) -> ts.Simulator:
     """Make the whole solid, compiled."""
-    solid = ts.Simulator(MODEL, solver="solid", resolution="realtime", inertia=inertia)
+    solid = ts.Simulator(model, solver="solid", resolution="realtime", inertia=inertia)
     solid.warm_up()
     return solid
 
 
-def compute_offline_forces(run: ArmRun, inertia: str, sparse: int) -> tuple[np.ndarray, np.ndarray]:
+def compute_offline_forces(model: ts.Model, run: ArmRun, inertia: str, sparse: int) -> tuple[np.ndarray, np.ndarray]:
     """Step the whole solid along the poses of a run; return the numbers of the poses, and forces, N, shape (n, 3)."""
-    solid, numbers, forces = make_whole_solid(inertia), [], []
+    solid, numbers, forces = make_whole_solid(model, inertia), [], []
     for number in range(0, len(run.poses), sparse):
         answer = solid.step(run.poses[number], 0.0 if not number else sparse * STEP)
         if answer.status is ts.ForceStatus.CONVERGED:
@@ -140,12 +171,13 @@ def compute_offline_forces(run: ArmRun, inertia: str, sparse: int) -> tuple[np.n
     return np.array(numbers), np.array(forces)
 
 
-def compare_with_offline(name: str, run: ArmRun, inertia: str, sparse: int) -> dict:
+def compare_with_offline(test: ArmTest, name: str, run: ArmRun, inertia: str, sparse: int) -> dict:
     """Return the errors of the applied force over the peak force, and the curves."""
-    numbers, offline = compute_offline_forces(run, inertia, sparse)
+    numbers, offline = compute_offline_forces(test.model, run, inertia, sparse)
     peak = float(np.linalg.norm(offline, axis=1).max())
     error = np.linalg.norm(run.forces[numbers] - offline, axis=1) / peak
-    return {"tissue": name, "steps": len(run.poses), "peak_force": peak, "rms_error": float(np.sqrt((error**2).mean())),
+    return {"specimen": test.name, "tissue": name, "steps": len(run.poses), "peak_force": peak,
+            "rms_error": float(np.sqrt((error**2).mean())),
             "largest_error": float(error.max()), "step_wall_s": run.wall / len(run.poses),
             "not_converged": sum(status != "CONVERGED" for status in run.statuses), "compared": len(numbers),
             "depth": -min(pose.position[2] for pose in run.poses), "warnings": sorted(set(run.warnings)),
@@ -153,19 +185,26 @@ def compare_with_offline(name: str, run: ArmRun, inertia: str, sparse: int) -> d
             "offline_times": (STEP * numbers).tolist(), "offline_forces": offline.tolist()}
 
 
-def measure_arm(tissues=("whole", "reduced", "multirate")) -> list[dict]:
-    """Return `compare_with_offline` of the tissues."""
+def measure_test(test: ArmTest) -> list[dict]:
+    """Return `compare_with_offline` of the tissues of a test."""
     rows = []
-    if "whole" in tissues:
-        rows.append(compare_with_offline("whole solid", run_arm(make_whole_solid("auto")), "auto", 1))
-    if "reduced" in tissues:
-        reduced = ts.reduce_solid(MODEL, BOX)
-        simulator = ts.Simulator(reduced.model, solver="reduced", mesh=reduced)
-        rows.append(compare_with_offline("reduced solid", run_arm(simulator), "off", SPARSE))
-    if "multirate" in tissues:
-        tissue = MultiRateTissue(MODEL, waits=True)
+    if "whole" in test.tissues:
+        run = run_arm(test, make_whole_solid(test.model, "auto"))
+        rows.append(compare_with_offline(test, "whole solid", run, "auto", 1))
+    if "reduced" in test.tissues:
+        reduced = ts.reduce_solid(test.model, test.box)
+        run = run_arm(test, ts.Simulator(reduced.model, solver="reduced", mesh=reduced))
+        rows.append(compare_with_offline(test, "reduced solid", run, "off", SPARSE))
+    if "multirate" in test.tissues:
+        tissue = MultiRateTissue(test.model, waits=True)
         try:
-            rows.append(compare_with_offline("multirate", run_arm(tissue), "off", SPARSE))
+            run = run_arm(test, tissue)
         finally:
             tissue.close()
+        rows.append(compare_with_offline(test, "multirate", run, "off", SPARSE))
     return rows
+
+
+def measure_arm() -> list[dict]:
+    """Return the comparisons of all tests."""
+    return [row for test in TESTS for row in measure_test(test)]

@@ -5,7 +5,7 @@
 - ``stability``: tools of 2 g to 1 kg on servos are held 5 mm in the needle test of the reference study.
 - ``cycle``: tools move into an elastic tissue and back; the net work of the tissue must vanish.
 - ``arm``: an arm in MuJoCo presses, shears and leaves a solid; its forces are compared with those of the same path
-  without coupling. It takes about ten minutes.
+  without coupling. It takes about half an hour.
 - ``flex``: force over depth of the coupled tissue and of MuJoCo's flex.
 
 MuJoCo and Newton must be installed (`tissue_sim[mujoco]`, `tissue_sim[newton]`).
@@ -86,14 +86,15 @@ def draw_cycles(rows: list[dict], console) -> None:
 
 def draw_arm(rows: list[dict], console) -> None:
     table(console, "force on the arm against the whole solid on the same path, % of the peak force",
-          ["tissue", "steps", "depth, mm", "peak, N", "compared", "rms", "largest", "not converged",
+          ["specimen, tissue", "steps", "depth, mm", "peak, N", "compared", "rms", "largest", "not converged",
            "wall ms of a step"],
-          [[row["tissue"], str(row["steps"]), f"{1e3 * row['depth']:.2f}", f"{row['peak_force']:.3f}",
-            str(row["compared"]), f"{100 * row['rms_error']:.2f}", f"{100 * row['largest_error']:.2f}",
+          [[f"{row['specimen']}, {row['tissue']}", str(row["steps"]), f"{1e3 * row['depth']:.2f}",
+            f"{row['peak_force']:.3f}", str(row["compared"]), f"{100 * row['rms_error']:.2f}",
+            f"{100 * row['largest_error']:.2f}",
             str(row["not_converged"]), f"{1e3 * row['step_wall_s']:.1f}"] for row in rows])
     for row in rows:
         for warning in row["warnings"]:
-            console.print(f"{row['tissue']}: {warning}")
+            console.print(f"{row['specimen']}, {row['tissue']}: {warning}")
 
 
 def compute_force_errors(curves: list[dict], depths: np.ndarray) -> list[np.ndarray]:
@@ -116,9 +117,9 @@ def draw_figure(rows: list[dict], curves: list[dict], path: Path) -> None:
 
     figure = Figure(figsize=(11.0, 3.8), layout="constrained")
     arm, forces, errors = figure.subplots(1, 3)
-    first = rows[0]
+    rows = [row for row in rows if row["specimen"] == rows[0]["specimen"]]
     for axis, name, colour in ((2, "z", COLOURS[0]), (0, "x", COLOURS[1])):
-        arm.plot(first["offline_times"], np.array(first["offline_forces"])[:, axis], color="0.75", linewidth=6,
+        arm.plot(rows[0]["offline_times"], np.array(rows[0]["offline_forces"])[:, axis], color="0.75", linewidth=6,
                  label=f"F{name}, offline")
         for row, line in zip(rows, ("-", "--", ":"), strict=False):
             arm.plot(row["times"], np.array(row["forces"])[:, axis], line, color=colour,
