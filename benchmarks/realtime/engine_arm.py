@@ -26,7 +26,6 @@ class ArmTest:
         box: box of the reduced solid, larger than the motion.
         depth: of the tip, m.
         sideways: displacement of the tip to the side, m, along (0.8, 0.6).
-        tissues: kinds of solids that are tried.
     """
 
     name: str
@@ -34,7 +33,6 @@ class ArmTest:
     box: ts.PoseBox
     depth: float
     sideways: float
-    tissues: tuple[str, ...]
 
     @property
     def corners(self) -> np.ndarray:
@@ -51,13 +49,11 @@ def make_model(specimen: ts.Specimen, depth: float, bulk_ratio: float) -> ts.Mod
                                   tool=ts.Tool("flat", radius=8e-3)), material)
 
 
-#: Small cylinder, for which the whole solid is affordable in each step, and the cylinder of the study.
+#: A small cylinder and that of the study.
 TESTS = (ArmTest("60 x 20 mm", make_model(ts.Specimen(0.030, 0.020), 3e-3, 1e3),
-                 ts.PoseBox(sideways=2.5e-3, depth=4.5e-3, turn=math.radians(2.0)), 3e-3, 1.5e-3,
-                 ("whole", "reduced", "multirate")),
+                 ts.PoseBox(sideways=2.5e-3, depth=4.5e-3, turn=math.radians(2.0)), 3e-3, 1.5e-3),
          ArmTest("80 x 70 mm", make_model(ts.Specimen(0.040, 0.070), 10e-3, 1e4),
-                 ts.PoseBox(sideways=6.5e-3, depth=12e-3, turn=math.radians(2.0)), 10e-3, 5e-3,
-                 ("reduced", "multirate")))
+                 ts.PoseBox(sideways=6.5e-3, depth=12e-3, turn=math.radians(2.0)), 10e-3, 5e-3))
 
 #: Step of the engine, s.
 STEP = 2e-3
@@ -186,23 +182,18 @@ def compare_with_offline(test: ArmTest, name: str, run: ArmRun, inertia: str, sp
 
 
 def measure_test(test: ArmTest) -> list[dict]:
-    """Return `compare_with_offline` of the tissues of a test."""
-    rows = []
-    if "whole" in test.tissues:
-        run = run_arm(test, make_whole_solid(test.model, "auto"))
-        rows.append(compare_with_offline(test, "whole solid", run, "auto", 1))
-    if "reduced" in test.tissues:
-        reduced = ts.reduce_solid(test.model, test.box)
-        run = run_arm(test, ts.Simulator(reduced.model, solver="reduced", mesh=reduced))
-        rows.append(compare_with_offline(test, "reduced solid", run, "off", SPARSE))
-    if "multirate" in test.tissues:
-        tissue = MultiRateTissue(test.model, waits=True)
-        try:
-            run = run_arm(test, tissue)
-        finally:
-            tissue.close()
-        rows.append(compare_with_offline(test, "multirate", run, "off", SPARSE))
-    return rows
+    """Return `compare_with_offline` of the whole, the reduced and the multirate solid of a test."""
+    run = run_arm(test, make_whole_solid(test.model, "auto"))
+    rows = [compare_with_offline(test, "whole solid", run, "auto", 1)]
+    reduced = ts.reduce_solid(test.model, test.box)
+    run = run_arm(test, ts.Simulator(reduced.model, solver="reduced", mesh=reduced))
+    rows.append(compare_with_offline(test, "reduced solid", run, "off", SPARSE))
+    tissue = MultiRateTissue(test.model, waits=True)
+    try:
+        run = run_arm(test, tissue)
+    finally:
+        tissue.close()
+    return [*rows, compare_with_offline(test, "multirate", run, "off", SPARSE)]
 
 
 def measure_arm() -> list[dict]:

@@ -25,6 +25,8 @@ OFF_AXIS = ts.Model(ts.Experiment(ts.Specimen(0.030, 0.030), ts.Protocol.ramp(1.
 RESOLUTION = "realtime_20"
 #: Masses of the tools, kg.
 MASSES = (0.002, 0.02, 0.2, 1.0)
+#: Masses of the tools of closed cycles, kg; the lightest are lighter than the tissue that moves with them.
+CYCLE_MASSES = (0.001, 0.002, 0.004, 0.006, 0.02, 0.2)
 #: Stiffness of the servos, N/m.
 SERVOS = (100.0, 500.0, 2000.0)
 #: Steps of the engine, s.
@@ -213,7 +215,7 @@ def measure_cycle(name: str, simulator, mass: float, dt: float, target, seconds:
             "net_work_of_tissue": compute_net_work(motion, of_tissue=True), "statuses": sorted(motion.statuses)}
 
 
-def measure_cycles(masses=MASSES[:3], steps=STEPS[1:]) -> list[dict]:
+def measure_cycles(masses=CYCLE_MASSES, steps=STEPS) -> list[dict]:
     """Return `measure_cycle` on the axis for all masses and steps, and off the axis for one."""
     rows = []
     for inertia in ("off", "auto"):
