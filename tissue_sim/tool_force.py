@@ -183,7 +183,8 @@ class ToolForce:
         least_tool_mass: smallest mass, kg, of a tool that an explicit coupling (pose in, force out) keeps stable at
             this step length; 0 if any mass is stable.
         time_since_touch: time between a touch in this step and the end of the step, s; `ahead` and the stiffness
-            within the step belong to this time. None if the tool did not touch in this step.
+            within the step belong to this time. None if the tool did not touch in this step, or if the tissue does not
+            state it.
     """
 
     wrench: Screw
@@ -334,11 +335,16 @@ class Tissue(Protocol):
     """Contract of the tissue that a loop or a server steps: a `Simulator`, a `MultiRateTissue`, or one of a plug-in.
 
     Before the first touch after a reset, every force must be zero, and poses in the air must have no influence on later
-    forces (`TouchState`). Three members are optional:
+    forces (`TouchState`). Other members are optional:
 
     - ``has_touched``: bool, whether the tool has touched since the last reset; read it with `has_touched`.
     - ``reset()``: return to the undeformed tissue that has not been touched.
     - ``prepare()``: a loop calls it between two ticks, after the force has been sent.
+    - ``warm_up()``: compile kernels, or start processes.
+    - ``save()``, ``restore(state)``, ``clone()``: for planners.
+    - ``domain``: str, poses for which the tissue has a force.
+    - ``looks_ahead``: bool, whether answers contain `ToolForce.ahead`; `ToolCoupling` sets it.
+    - ``budget``, ``waits``: wall time of a step, and whether a step waits for its bulk; see `ToolCoupling`.
     """
 
     def step(self, pose: float | Pose, dt: float) -> ToolForce:

@@ -121,6 +121,48 @@ def test_the_adapter_reads_the_present_pose_and_velocity_of_a_free_body(simulato
     assert np.linalg.eigvalsh(tissue.coupling.inertia) == pytest.approx(np.sort(model.body_inertia[1]))
 
 
+@pytest.mark.parametrize("mass", [0.0, 1e-4, 0.01])
+def test_a_tool_that_is_welded_to_a_link_moves_with_the_mass_of_both(simulator, mass):
+    """The frame of the tool is often a body without joints and without mass."""
+    inertial = f'<inertial pos="0 .01 .02" mass="{mass}" diaginertia="1e-6 1e-6 1e-6"/>' if mass else ""
+    model = mujoco.MjModel.from_xml_string(f"""<mujoco><option timestep="2e-3" integrator="implicitfast"
+      gravity="0 0 0"/><worldbody><site name="tissue"/>
+      <body name="link" pos="0 0 .101" euler="0 0 30"><joint name="z" type="slide" axis="0 0 1"/><inertial pos="0 0 .05"
+      mass="0.01" diaginertia="1e-5 1e-5 1e-6"/><body name="tool" pos="0 0 -.1" euler="0 0 -30">{inertial}
+      <site name="tip"/></body></body></worldbody>
+      <actuator><position joint="z" kp="200" kv="3"/></actuator></mujoco>""")
+    data = mujoco.MjData(model)
+    simulator.reset()
+    tissue = ts.MujocoTissue(model, data, body="tool", tissue=simulator)
+    assert tissue.coupling.mass == pytest.approx(0.01 + mass)
+    assert tissue.coupling.tip.position == pytest.approx((0.0, 0.0, -0.1))
+    mujoco.mj_subtreeVel(model, data)
+    forces, _ = run(tissue, lambda t: -min(0.05 * t, 6e-3), 1.0)
+    assert np.ptp(forces[350:]) < 0.01 * forces[-1]
+    assert forces[-1] == pytest.approx(200.0 * (6e-3 + data.qpos[0]), rel=1e-3)
+    center = data.xpos[1] + data.xmat[1].reshape(3, 3) @ tissue._center
+    mujoco.mj_comPos(model, data)
+    assert center == pytest.approx(data.subtree_com[1], abs=1e-12)
+
+
+def test_a_mocap_body_has_a_prescribed_motion(simulator):
+    model = mujoco.MjModel.from_xml_string("""<mujoco><option timestep="1e-3"/><worldbody><site name="tissue"/>
+      <body name="tool" mocap="true"><geom size=".01" mass="1" contype="0" conaffinity="0"/><site name="tip"/></body>
+      </worldbody></mujoco>""")
+    data = mujoco.MjData(model)
+    simulator.reset()
+    tissue = ts.MujocoTissue(model, data, body="tool", tissue=simulator)
+    assert tissue.coupling.mass is None
+    forces = []
+    for step in range(100):
+        data.mocap_pos[0, 2] = -2e-5 * step
+        forces.append(tissue.step().force[2])
+    simulator.reset()
+    simulator.step(0.0, 0.0)
+    expected = [simulator.step(2e-5 * step, 1e-3).force for step in range(1, 100)]
+    assert forces[1:] == pytest.approx(expected, rel=1e-9)
+
+
 def test_a_reset_of_the_engine_gives_the_same_forces_again(simulator):
     model, data = load(0.02)
     simulator.reset()
@@ -168,6 +210,7 @@ def test_two_tissues_act_on_two_bodies_of_one_model(simulator):
 @pytest.mark.parametrize(("change", "options", "message"), [
     ({}, {"body": "needel"}, "body: must be the name of a body of the model; got 'needel'; did you mean 'needle'"),
     ({}, {"scene": "table"}, "site: must be the name of a site of the model; got 'table'; known: tissue, tip"),
+    ({}, {"scene": "tip"}, "scene: must be a site that is fixed to the world; 'tip' moves"),
     ({}, {"tip": "tissue"}, "tip: must be a site of the body that carries the tool"),
     ({"integrator": "RK4"}, {}, "integrator: must be 'Euler'"),
     ({"sensors": '<sensor><user name="tissue_wrench" dim="3"/></sensor>'}, {}, "must be a user sensor of dimension 6")])

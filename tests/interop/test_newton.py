@@ -86,6 +86,13 @@ def test_a_torque_is_about_the_centre_of_mass(simulator):
     assert tissue.apply(state, 1e-3).force[2] == pytest.approx(force, rel=1e-3)
 
 
+def test_a_body_without_mass_that_moves_is_refused(simulator):
+    builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
+    builder.add_body(label="frame", mass=0.0)
+    with pytest.raises(ts.InputError, match="body: must have a mass, or be kinematic; 'frame' has no mass"):
+        ts.NewtonTissue(builder.finalize(device="cpu"), body="frame", tissue=simulator)
+
+
 @pytest.mark.parametrize(("body", "message"), [("needel", "0 bodies have the label 'needel'. Labels: needle"),
                                                (1, "body: must be 0 to 0; got 1")])
 def test_an_unknown_body_is_refused(simulator, body, message):

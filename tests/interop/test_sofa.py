@@ -66,7 +66,7 @@ def test_the_controller_writes_force_and_torque_about_the_origin(simulator):
 def test_a_reset_of_the_scene_resets_the_tissue(simulator):
     simulator.reset()
     half, (root, instrument, field) = 0.5**0.5, make_scene(2e-3)
-    controller = make_sofa_controller(root, instrument, field, tissue=simulator, sofa=SOFA,
+    controller = make_sofa_controller(root, instrument, field, tissue=simulator, mass=None, sofa=SOFA,
                                       scene=ts.Pose((0.0, 0.0, 0.0), (half, -half, 0.0, 0.0)),
                                       tip=ts.Pose((0.0, 0.0, -0.05)))
     for root.time.value in (0.0, 0.01, 0.0):
@@ -82,9 +82,9 @@ def test_an_instrument_of_another_template_is_refused(simulator):
     root, instrument, field = make_scene(0.0)
     instrument.position = Data([[0.0, 0.0, 0.0]])
     with pytest.raises(ts.InputError, match="must have the template Rigid3d and one particle"):
-        make_sofa_controller(root, instrument, field, tissue=simulator, sofa=SOFA)
+        make_sofa_controller(root, instrument, field, tissue=simulator, mass=None, sofa=SOFA)
 
 
 def test_without_sofa_the_remedy_is_named(simulator):
     with pytest.raises(ts.MissingBackendError, match="SofaPython3 is not available"):
-        make_sofa_controller(*make_scene(0.0), tissue=simulator)
+        make_sofa_controller(*make_scene(0.0), tissue=simulator, mass=0.1)

@@ -361,8 +361,8 @@ class Solver(ToolInAirInterface, ABC):
         return True
 
     def describe_domain(self) -> str:
-        """Return the poses for which the solver has a force, as a part of a sentence, for people."""
-        return "poses that the solver accepts"
+        """Return a phrase that describes the poses at which the solver computes a force."""
+        return "an unspecified range of poses"
 
     @abstractmethod
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,

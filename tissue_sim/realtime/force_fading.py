@@ -168,7 +168,8 @@ class ForceFader:
 
         Args:
             answer: answer of the tissue.
-            now: time, s, on a clock of this computer that always advances; the clock of a client is not used.
+            now: time, s, on one clock that does not decrease: wall time in the loop and the server, simulated time in
+                `ToolCoupling`.
         """
         watchdog, last, self._last_step = self._watchdog, self._last_step, now
         if last is None and math.hypot(*answer.wrench[:3]) > self._largest_first_force:

@@ -286,8 +286,8 @@ class MultiRateTissue(RealTimeTissue):
     @property
     def domain(self) -> str:
         """Poses for which the tissue has a force, as a sentence."""
-        return ("Multirate simulation has forces for any position and orientation of the tool above the top of the "
-                "specimen. Each force has an estimated error.")
+        return ("Multirate simulation has forces for any pose at which the tool touches the top of the specimen. Each "
+                "force has an estimated error.")
 
     @property
     def _last_pose(self) -> Pose | None:

@@ -294,9 +294,9 @@ class Simulator(PathFollowingTissue):
     @property
     def domain(self) -> str:
         """Poses for which the simulator has a force, and the error of the force on this mesh, as sentences."""
-        error = "unknown" if self.force_error is None else f"at most {100.0 * self.force_error:.2g} %"
-        return (f"The solver '{self._solver_name}' has forces for {self._solver.describe_domain()}. Force error of the "
-                f"mesh: {error}.")
+        error = "unknown" if self.force_error is None else f"{100.0 * self.force_error:.2g} %"
+        return (f"The solver '{self._solver_name}' has forces for {self._solver.describe_domain()}. Largest known "
+                f"force error of this mesh: {error}.")
 
     @property
     def mesh(self) -> Any:

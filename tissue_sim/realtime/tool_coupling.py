@@ -7,6 +7,7 @@ limits, saved states.
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
 import warnings
@@ -33,10 +34,14 @@ class CouplingLimits:
     Attributes:
         largest_force: largest force on the body, N; force and torque are scaled together.
         longest_step: longest step of the tissue, s. A longer step of the engine is divided, with interpolated poses.
-        most_parts: largest number of parts of a step of the engine. A step that is too long for this number has longer
-            parts.
+        most_parts: largest number of parts of a step of the engine. A step longer than `most_parts` times
+            `longest_step` is divided into `most_parts` parts, each longer than `longest_step`.
         largest_tilt: largest angle, rad, between the axis of the tool and the outward normal of the tissue in the first
-            step. A larger angle is a tool frame whose z axis has the wrong direction.
+            step, at most pi. A larger angle raises an error, because the z axis of the tool frame then has the wrong
+            direction.
+
+    Raises:
+        InputError: a limit that is not positive, a tilt above pi, or a number of parts that is not an integer.
     """
 
     largest_force: float = 100.0
@@ -48,6 +53,10 @@ class CouplingLimits:
         for name in ("largest_force", "longest_step", "most_parts", "largest_tilt"):
             if not getattr(self, name) > 0:
                 raise InputError(f"must be positive; got {getattr(self, name):g}.", field=name)
+        if self.largest_tilt > math.pi:
+            raise InputError(f"must be at most pi; got {self.largest_tilt:g}.", field="largest_tilt")
+        if not isinstance(self.most_parts, int):
+            raise InputError(f"must be an integer; got {self.most_parts!r}.", field="most_parts")
 
 
 class TissueFailureWarning(UserWarning):
@@ -55,7 +64,7 @@ class TissueFailureWarning(UserWarning):
 
 
 class OutsideDomainWarning(UserWarning):
-    """The tool entered the tissue at a pose for which the tissue has no force."""
+    """The tissue has no force at the pose of the tool; the force fades to zero."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,17 +116,35 @@ class BodyWrench:
 
 @dataclass(frozen=True)
 class CouplingState:
-    """State of a `ToolCoupling` between two steps; see `ToolCoupling.save`."""
+    """State of a `ToolCoupling` between two steps; see `ToolCoupling.save`.
+
+    Attributes:
+        tissue: state of the tissue.
+        time: simulated time of the last step, s; None before the first step.
+        pose: last pose of the tool that was finite, in the scene; None before it.
+        lever: vector from the centre of mass to the tip at this pose, m, shape (3,).
+        twist: velocity of the tip, m/s, and angular velocity, rad/s, in the scene, shape (6,); None if unknown.
+        wrench: wrench at the tip in the last step, N and N m, in the scene, shape (6,).
+        acceleration: acceleration of the tip by all other forces, m/s2 and rad/s2, shape (6,); None if unknown.
+        answer: last answer of the tissue, before fading; None before the first step.
+        wrench_on_body: result of the last step.
+        fader: state of the fading.
+        failure: error of the tissue.
+        has_warned: whether an `OutsideDomainWarning` was issued.
+    """
 
     tissue: Any
     time: float | None
     pose: Pose | None
-    twist: _Array
+    lever: _Array
+    twist: _Array | None
     wrench: _Array
-    others: _Array | None
+    acceleration: _Array | None
+    answer: ToolForce | None
     wrench_on_body: BodyWrench | None
     fader: ForceFader
     failure: Exception | None
+    has_warned: bool
 
 
 class ToolCoupling:
@@ -153,7 +180,8 @@ class ToolCoupling:
     A body in a mechanism is less mobile than the free body (Gauss's principle of least constraint), so that `A` is an
     upper bound.
 
-    **First touch.** The first step, and the first after `reset`, has no past: the tissue is stepped with dt = 0.
+    **First step.** In the first step, and in the first after `reset`, no earlier pose is known: the tissue is stepped
+    with dt = 0. A tool that starts inside the tissue is at rest there.
 
     **Statuses.** Forces without equilibrium are extrapolated for 50 ms, then fade to zero (`ForceFader`). A pose that
     is not finite or outside of the limits, and a tool outside the domain of the tissue, gives REFUSED or STOPPED and
@@ -161,10 +189,11 @@ class ToolCoupling:
     `reset`.
 
     Args:
-        tissue: a `Simulator`, a `MultiRateTissue` or any `Tissue`. `Simulator.looks_ahead` is set.
+        tissue: a `Simulator`, a `MultiRateTissue` or any `Tissue`. Its attribute ``looks_ahead`` is set, if it has one.
         scene: pose of the scene in the world.
         tip: pose of the tool in the frame of the body.
-        mass: mass of the body, kg; None: the motion of the body is prescribed.
+        mass: mass of the body, kg; None: the motion of the body is prescribed, and the wrench is that at the present
+            pose.
         inertia: moments of inertia about the centre of mass, shape (3, 3), frame of the body, kg m2.
         limits: see `CouplingLimits`.
         real_time: whether the engine keeps up with the wall clock. If it does not, the tissue must not have a budget
@@ -186,8 +215,9 @@ class ToolCoupling:
         self.scene, self.tip = scene or Pose((0.0, 0.0, 0.0)), tip or Pose((0.0, 0.0, 0.0))
         self.mass, self.inertia = _convert_mass_and_inertia(mass, inertia)
         self._inverse_inertia = np.zeros((3, 3)) if self.inertia is None else np.linalg.inv(self.inertia)
-        if hasattr(tissue, "looks_ahead"):
-            tissue.looks_ahead = True
+        with contextlib.suppress(AttributeError):  # a plug-in may have a read-only attribute
+            if hasattr(tissue, "looks_ahead"):
+                tissue.looks_ahead = True
         self._rotation = np.array(self.scene.rotation_matrix)
         self._clear()
 
@@ -197,9 +227,10 @@ class ToolCoupling:
         self.failure: Exception | None = None
         self._time: float | None = None
         self._pose: Pose | None = None
-        self._twist, self._wrench = np.zeros(6), np.zeros(6)
-        #: Acceleration of the tip by all other forces in the last step, m/s2 and rad/s2.
-        self._others: _Array | None = None
+        self._answer: ToolForce | None = None
+        self._lever, self._wrench = np.zeros(3), np.zeros(6)
+        self._twist: _Array | None = None
+        self._acceleration: _Array | None = None
         self._fader = ForceFader(largest_first_force=math.inf)
         self._has_warned = False
 
@@ -223,7 +254,8 @@ class ToolCoupling:
                 last wrench is returned.
 
         Raises:
-            InputError: the tool frame has the wrong direction in the first step, or the time is not finite.
+            InputError: the tool frame has the wrong direction in the first step, the time is not finite, or the time
+                goes back and the tissue has no method ``reset``.
         """
         if not math.isfinite(time):
             raise InputError(f"must be finite; got {time} s.", field="time")
@@ -237,14 +269,16 @@ class ToolCoupling:
         if self._time is None and pose is not None:
             self._require_outward_tool_axis(pose)
         answer, parts = self._step_tissue(pose, dt)
+        self._answer = answer
         answer = self._fader.step(answer, time)
-        twist, tip = self._compute_tip_twist_and_offset(body, pose)
-        wrench = self._compute_implicit_wrench(answer, twist, body, tip, dt, parts)
+        lever, twist = self._compute_lever_and_twist(body, pose)
+        wrench = self._compute_implicit_wrench(answer, twist, body, lever, dt, parts)
         requested = tuple(wrench.tolist())
         limited = limit_force_of_wrench(requested, self.limits.largest_force)
         is_limited, wrench = limited is not requested, np.array(limited)
-        self._time, self._pose, self._twist, self._wrench = time, pose or self._pose, twist, wrench
-        about_center = wrench[3:] + _make_cross_matrix(tip) @ wrench[:3]
+        self._time, self._pose, self._lever = time, pose or self._pose, lever
+        self._twist, self._wrench = twist, wrench
+        about_center = wrench[3:] + _make_cross_matrix(lever) @ wrench[:3]
         force, torque, about_tip = (np.array([wrench[:3], about_center, wrench[3:]]) @ self._rotation.T).tolist()
         self.last = BodyWrench(tuple(force), tuple(torque), tuple(about_tip), answer.status, answer, pose, is_limited)
         return self.last
@@ -252,7 +286,8 @@ class ToolCoupling:
     def _convert_to_scene(self, body: RigidBodyState) -> Pose | None:
         """Return the pose of the tool in the scene; None if a number is not finite or the quaternion is zero."""
         size = math.hypot(*body.orientation)
-        if not (math.isfinite(size) and size > 0.0 and all(map(math.isfinite, body.position))):
+        if not (math.isfinite(size) and size > 0.0
+                and all(map(math.isfinite, (*body.position, *body.center_of_mass)))):
             return None
         return multiply_poses(invert_pose(self.scene), multiply_poses(_make_body_pose(body), self.tip))
 
@@ -272,7 +307,7 @@ class ToolCoupling:
 
     def _step_tissue(self, pose: Pose | None, dt: float) -> tuple[ToolForce, int]:
         """Step the tissue to a pose; return its answer and the number of parts of the step."""
-        last = FORCE_BEFORE_FIRST_STEP if self.last is None else self.last.answer
+        last = FORCE_BEFORE_FIRST_STEP if self._answer is None else self._answer
         if self.failure is not None:
             return replace(FORCE_BEFORE_FIRST_STEP, status=ForceStatus.FAILED), 1
         if pose is None:
@@ -284,10 +319,12 @@ class ToolCoupling:
             for part in range(1, parts + 1):
                 target = pose if part == parts else interpolate_pose(before, pose, part / parts)
                 answer = self.tissue.step(target, dt / parts)
+            if not answer.is_finite:
+                raise ArithmeticError("wrench or stiffness is not finite")
         except Exception as error:  # an error of any plug-in must not stop the engine
             self.failure = error
-            warnings.warn(TissueFailureWarning(f"the tissue failed: {error}. No force acts until reset()."),
-                          stacklevel=3)
+            warnings.warn(TissueFailureWarning(f"The tissue raised {type(error).__name__}: {error}. The coupling "
+                                               "applies no force; call reset()."), stacklevel=3)
             return replace(FORCE_BEFORE_FIRST_STEP, status=ForceStatus.FAILED), 1
         if not answer.is_on_axis and any(answer.wrench):
             answer = replace(answer, status=ForceStatus.REFUSED)
@@ -296,63 +333,80 @@ class ToolCoupling:
             reason = (answer.status.message if answer.is_on_axis else
                       'the tool is off the axis of an axisymmetric tissue. Use Simulator(..., solver="solid"), a '
                       "reduced solid or a multirate tissue")
+            x, y, z = (1e3 * part for part in pose.position)
             warnings.warn(OutsideDomainWarning(
-                f"The force fades to zero from {pose} on: {reason}. {self.domain}"), stacklevel=3)
+                f"The tissue has no force at ({x:.4g}, {y:.4g}, {z:.4g}) mm: {reason}. The force fades to zero. "
+                f"{self.domain}"), stacklevel=3)
         return answer, parts
 
-    def _compute_tip_twist_and_offset(self, body: RigidBodyState, pose: Pose | None) -> tuple[_Array, _Array]:
-        """Return the twist of the tip, m/s and rad/s, and the vector from centre of mass to tip, m, in the scene."""
+    def _compute_lever_and_twist(self, body: RigidBodyState, pose: Pose | None) -> tuple[_Array, _Array | None]:
+        """Return the vector from centre of mass to tip, m, and the twist of the tip, m/s and rad/s, in the scene.
+
+        Without a pose the lever is that of the last pose. The twist is None if it is not finite.
+        """
         to_scene = self._rotation.T
         if pose is None:
-            return np.zeros(6), np.zeros(3)
+            return self._lever, None
         center = to_scene @ (np.array(body.center_of_mass, float) - np.array(self.scene.position))
-        tip = np.array(pose.position) - center
+        lever = np.array(pose.position) - center
         spin = to_scene @ np.array(body.angular_velocity, float)
-        twist = np.concatenate([to_scene @ np.array(body.velocity, float) - _make_cross_matrix(tip) @ spin, spin])
-        return (twist, tip) if np.isfinite(twist).all() else (np.zeros(6), tip)
+        twist = np.concatenate([to_scene @ np.array(body.velocity, float) - _make_cross_matrix(lever) @ spin, spin])
+        return lever, twist if np.isfinite(twist).all() else None
 
-    def _compute_implicit_wrench(self, answer: ToolForce, twist: _Array, body: RigidBodyState, tip: _Array, dt: float,
-                                 parts: int) -> _Array:
-        """Return the wrench at the tip during the next step, in the scene; see the class for the scheme."""
-        static = np.array(answer.stiffness_matrix)
-        load, damper, within = np.array(answer.wrench), 0.5 * static, answer.stiffness_matrix_within_step
-        if dt <= 0.0 or answer.status in (ForceStatus.REFUSED, ForceStatus.FAILED):
-            self._others = None
-            return load
-        fraction = 1.0 / parts
-        if answer.time_since_touch is not None:
+    def _compute_implicit_wrench(self, answer: ToolForce, twist: _Array | None, body: RigidBodyState, lever: _Array,
+                                 dt: float, parts: int) -> _Array:
+        """Return the wrench at the tip during the next step, in the scene; see the class for the scheme.
+
+        Args:
+            answer: answer of the tissue after fading.
+            twist: velocity of the tip and angular velocity; None if unknown.
+            body: motion of the body.
+            lever: vector from the centre of mass to the tip, m.
+            dt: length of the step, s.
+            parts: number of parts into which the step of the tissue was divided.
+        """
+        wrench, static = np.array(answer.wrench), np.array(answer.stiffness_matrix)
+        is_explicit = dt <= 0.0 or twist is None or self.mass is None
+        if twist is None or is_explicit or answer.status in (ForceStatus.REFUSED, ForceStatus.FAILED):
+            self._acceleration = None
+            return wrench
+        fraction, step_stiffness = 1.0 / parts, answer.stiffness_matrix_within_step
+        if answer.time_since_touch is not None and answer.inertial:
             fraction = answer.time_since_touch / dt
-            load = load * fraction
+            wrench = wrench * fraction
         elif answer.ahead is not None and parts == 1:
-            load, within = np.array(answer.ahead.wrench), answer.ahead.stiffness_matrix
+            wrench, step_stiffness = np.array(answer.ahead.wrench), answer.ahead.stiffness_matrix
+        implicit_stiffness = 0.5 * static
         if answer.step_stiffness_matrix is not None:
             # (S - k) times the square of its step is proportional to the moving mass, whatever the step.
-            damper = damper + fraction**2 * (np.array(within) - static)
-        damper = _project_to_positive_semidefinite(damper)
-        mobility = self._compute_mobility(body, tip)
-        implicit = dt * dt * damper @ mobility
-        others = (twist - self._twist) / dt - mobility @ self._wrench
-        slope = others - (others if self._others is None else self._others)
-        self._others = others
-        free = twist + dt * (others + min(1.0, 1.0 / max(float(np.trace(implicit)), 1e-12)) * slope)
-        return np.asarray(np.linalg.solve(np.eye(6) + implicit, load - dt * damper @ free), np.float64)
+            implicit_stiffness = implicit_stiffness + fraction**2 * (np.array(step_stiffness) - static)
+        implicit_stiffness = _project_to_positive_semidefinite(implicit_stiffness)
+        mobility = self._compute_mobility(body, lever)
+        product = dt * dt * implicit_stiffness @ mobility
+        # If the last twist is unknown, the body is assumed to keep its velocity.
+        acceleration = (0.0 if self._twist is None else (twist - self._twist) / dt) - mobility @ self._wrench
+        change = acceleration - (acceleration if self._acceleration is None else self._acceleration)
+        self._acceleration = acceleration
+        beta = min(1.0, 1.0 / max(float(np.trace(product)), 1e-12))
+        free_twist = twist + dt * (acceleration + beta * change)
+        return np.asarray(np.linalg.solve(np.eye(6) + product, wrench - dt * implicit_stiffness @ free_twist),
+                          np.float64)
 
-    def _compute_mobility(self, body: RigidBodyState, tip: _Array) -> _Array:
+    def _compute_mobility(self, body: RigidBodyState, lever: _Array) -> _Array:
         """Return the mobility of the free body at the tip, shape (6, 6): twist over impulse, in the scene."""
+        assert self.mass is not None
         mobility = np.zeros((6, 6))
-        if self.mass is None:
-            return mobility
         inverse = np.zeros((3, 3))
         if self.inertia is not None:
-            turn = self._rotation.T @ np.array(_make_body_pose(body).rotation_matrix)
-            inverse = turn @ self._inverse_inertia @ turn.T
-        lever = -_make_cross_matrix(tip)  # angular velocity x tip = lever @ angular velocity
-        mobility[:3, :3] = np.eye(3) / self.mass + lever @ inverse @ lever.T
-        mobility[:3, 3:], mobility[3:, :3], mobility[3:, 3:] = lever @ inverse, inverse @ lever.T, inverse
+            rotation = self._rotation.T @ np.array(_make_body_pose(body).rotation_matrix)
+            inverse = rotation @ self._inverse_inertia @ rotation.T
+        arm = -_make_cross_matrix(lever)  # angular velocity x lever = arm @ angular velocity
+        mobility[:3, :3] = np.eye(3) / self.mass + arm @ inverse @ arm.T
+        mobility[:3, 3:], mobility[3:, :3], mobility[3:, 3:] = arm @ inverse, inverse @ arm.T, inverse
         return mobility
 
     def reset(self) -> None:
-        """Return to the untouched tissue; call it when the engine is reset. The next step has no past."""
+        """Return to the untouched tissue; call it when the engine is reset. The next step is a first step."""
         self._get_tissue_method("reset")()
         self._clear()
 
@@ -378,8 +432,8 @@ class ToolCoupling:
 
     def _make_state(self, tissue: Any) -> CouplingState:
         """Make the state of the coupling with a state of the tissue."""
-        return CouplingState(tissue, self._time, self._pose, self._twist, self._wrench, self._others, self.last,
-                             copy.deepcopy(self._fader), self.failure)
+        return CouplingState(tissue, self._time, self._pose, self._lever, self._twist, self._wrench, self._acceleration,
+                             self._answer, self.last, copy.deepcopy(self._fader), self.failure, self._has_warned)
 
     def restore(self, state: CouplingState) -> None:
         """Restore a saved state.
@@ -394,15 +448,17 @@ class ToolCoupling:
 
     def _restore_motion(self, state: CouplingState) -> None:
         """Restore the state of the coupling without that of the tissue."""
-        self._time, self._pose, self._twist, self._wrench = state.time, state.pose, state.twist, state.wrench
-        self._others, self.last, self.failure = state.others, state.wrench_on_body, state.failure
+        self._time, self._pose, self._lever, self._twist = state.time, state.pose, state.lever, state.twist
+        self._wrench, self._acceleration, self._answer = state.wrench, state.acceleration, state.answer
+        self.last, self.failure, self._has_warned = state.wrench_on_body, state.failure, state.has_warned
         self._fader = copy.deepcopy(state.fader)
 
     def clone(self) -> ToolCoupling:
         """Return an independent coupling with a clone of the tissue at the same state.
 
         Raises:
-            CopyError: the tissue has no clone, as a multirate tissue.
+            CopyError: a multirate tissue.
+            InputError: the tissue has no method ``clone``.
         """
         other = ToolCoupling(self._get_tissue_method("clone")(), scene=self.scene, tip=self.tip, mass=self.mass,
                              inertia=self.inertia, limits=self.limits, real_time=self.real_time)
@@ -419,12 +475,11 @@ def _require_independence_of_wall_clock(tissue: Any, real_time: bool) -> None:
     if real_time:
         return
     if getattr(tissue, "budget", None) is not None:
-        raise InputError("must not have a budget of wall time in simulated time, because its forces would depend on "
-                         "the speed of the computer. Make Simulator(..., budget=None), or use real_time=True.",
-                         field="tissue")
+        raise InputError("must have budget=None unless real_time=True, because a budget makes forces depend on the "
+                         "speed of the computer.", field="tissue")
     if getattr(tissue, "waits", True) is False:
-        raise InputError("must wait for its bulk in simulated time. Make MultiRateTissue(..., waits=True), or use "
-                         "real_time=True.", field="tissue")
+        raise InputError("must have waits=True unless real_time=True, because forces without waiting depend on the "
+                         "speed of the computer. Make MultiRateTissue(..., waits=True).", field="tissue")
 
 
 def _convert_mass_and_inertia(mass: float | None, inertia: Any) -> tuple[float | None, _Array | None]:

@@ -363,9 +363,9 @@ class SolidSolver(KernelOwner, Solver):
 
     def describe_domain(self) -> str:
         """See `Solver.describe_domain`."""
-        if self.placement is None:
-            return "a tool that touches the tissue near the position for which the mesh was made"
-        return "any position and orientation of the tool above the top of the specimen"
+        if self.placement is not None and not self.placement.can_move_mesh:
+            return "a tool that first touches the tissue at the pose for which the mesh was made"
+        return "any pose at which the tool touches the top of the specimen"
 
     def height_above_tissue(self, pose: Pose) -> float:
         """Return the distance that the tool must go down until it touches the undeformed tissue, m.

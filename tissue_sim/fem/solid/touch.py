@@ -234,6 +234,11 @@ class FirstTouchHeightAndSolverMaker:
         self._datum, self._is_level, self._margin = datum, is_level, margin
         self._touch_height, self._remake = touch_height, remake
 
+    @property
+    def can_move_mesh(self) -> bool:
+        """Whether the mesh can be made for another position of the first touch."""
+        return self._remake is not None
+
     def is_at_mesh_position(self, start: Pose, pose: Pose) -> bool:
         """Whether a first touch at a pose needs no other mesh than the first touch at `start`."""
         return compute_pose_distance(start, pose, self.radius) <= PLACEMENT.same_position * self.radius

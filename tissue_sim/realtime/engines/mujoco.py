@@ -58,19 +58,19 @@ class MujocoTissue:
                  real_time: bool = False):
         self._mujoco = _import_mujoco()
         self.model, self.data = model, data
-        self._body = self._find("body", body)
+        named = self._find("body", body)
+        # A body without joints moves with its parent: masses of all bodies that are welded together count.
+        weld = int(model.body_weldid[named])
+        self._body = weld or named
         if model.opt.integrator == self._mujoco.mjtIntegrator.mjINT_RK4:
             raise InputError("must be 'Euler', 'implicitfast', 'implicit' or 'discrete'; got 'RK4', whose four stages "
                              "would use the force of the start of the step.", field="integrator")
         self._update_kinematics()
-        mass = float(model.body_mass[self._body])
-        to_body = np.array(_make_pose(np.zeros(3), model.body_iquat[self._body]).rotation_matrix)
-        inertia = to_body @ np.diag(model.body_inertia[self._body]) @ to_body.T
+        mass, inertia, self._center = self._sum_masses_of_welded_bodies(weld)
         self.coupling = ToolCoupling(
-            tissue, scene=self._find_site_pose(scene) if isinstance(scene, str) else scene,
-            tip=self._find_tip(tip) if isinstance(tip, str) else tip, mass=mass or None,
-            inertia=inertia if mass and model.body_inertia[self._body].min() > 0.0 else None, limits=limits,
-            real_time=real_time)
+            tissue, scene=self._find_fixed_site(scene) if isinstance(scene, str) else scene,
+            tip=self._find_tip(tip, weld) if isinstance(tip, str) else self._convert_tip(named, tip), mass=mass,
+            inertia=inertia, limits=limits, real_time=real_time)
         self._sensors = self._find_sensors()
         self.coupling.warm_up()
 
@@ -79,12 +79,16 @@ class MujocoTissue:
         self._update_kinematics()
         data, body = self.data, self._body
         velocity = np.zeros(6)
-        # Angular velocity, then the velocity of the centre of mass, axes of the world.
+        # Angular velocity, then the velocity at the centre of mass of this body alone, axes of the world.
         self._mujoco.mj_objectVelocity(self.model, data, self._mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
+        center = data.xpos[body] + data.xmat[body].reshape(3, 3) @ self._center
+        offset = center - data.xipos[body]
+        linear = velocity[3:] + np.cross(velocity[:3], offset)
         wrench = self.coupling.compute_wrench(
-            RigidBodyState(data.xpos[body].tolist(), data.xquat[body].tolist(), data.xipos[body].tolist(),
-                           velocity[3:].tolist(), velocity[:3].tolist()), float(data.time))
-        data.xfrc_applied[body] = wrench.force + wrench.torque
+            RigidBodyState(data.xpos[body].tolist(), data.xquat[body].tolist(), center.tolist(), linear.tolist(),
+                           velocity[:3].tolist()), float(data.time))
+        data.xfrc_applied[body, :3] = wrench.force
+        data.xfrc_applied[body, 3:] = wrench.torque + np.cross(offset, wrench.force)
         self._write_sensors(wrench)
         return wrench
 
@@ -135,20 +139,60 @@ class MujocoTissue:
                              "the MJCF file, or pass the name of another one.", field=kind)
         return int(number)
 
-    def _find_site_pose(self, name: str) -> Pose:
+    def _sum_masses_of_welded_bodies(self, weld: int) -> tuple[float | None, np.ndarray | None, np.ndarray]:
+        """Return mass, inertia about the centre of mass, and centre of mass in the frame of `_body`, of welded bodies.
+
+        Mass and inertia are None if the motion is prescribed: a body that is fixed to the world, or a mocap body.
+
+        Args:
+            weld: number of the body with joints to which the tool is welded; 0: the world.
+        """
+        model, data, origin = self.model, self.data, self._get_pose_of_body(self._body)
+        if weld == 0 or model.body_mocapid[weld] >= 0:
+            return None, None, model.body_ipos[self._body].copy()
+        members = [number for number in range(model.nbody) if model.body_weldid[number] == weld]
+        masses = model.body_mass[members]
+        to_body = np.array(origin.rotation_matrix).T
+        centers = (data.xipos[members] - np.array(origin.position)) @ to_body.T
+        center = masses @ centers / masses.sum()
+        inertia = np.zeros((3, 3))
+        for number, mass, place in zip(members, masses, centers - center, strict=True):
+            axes = to_body @ data.ximat[number].reshape(3, 3)
+            inertia += axes @ np.diag(model.body_inertia[number]) @ axes.T
+            inertia += mass * (place @ place * np.eye(3) - np.outer(place, place))
+        return float(masses.sum()), inertia if np.linalg.eigvalsh(inertia).min() > 0.0 else None, center
+
+    def _get_pose_of_body(self, body: int) -> Pose:
+        """Return the pose of a body in the world."""
+        return _make_pose(self.data.xpos[body], self.data.xquat[body])
+
+    def _get_pose_of_site(self, site: int) -> Pose:
         """Return the pose of a site in the world."""
-        site, rotation = self._find("site", name), np.zeros(4)
+        rotation = np.zeros(4)
         self._mujoco.mju_mat2Quat(rotation, self.data.site_xmat[site])
         return _make_pose(self.data.site_xpos[site], rotation)
 
-    def _find_tip(self, name: str) -> Pose:
-        """Return the pose of a site in the frame of the body."""
+    def _find_fixed_site(self, name: str) -> Pose:
+        """Return the pose in the world of a site that does not move."""
         site = self._find("site", name)
-        if self.model.site_bodyid[site] != self._body:
+        if self.model.body_weldid[self.model.site_bodyid[site]] != 0:
+            raise InputError(f"must be a site that is fixed to the world; {name!r} moves with a body. The tissue does "
+                             "not move.", field="scene")
+        return self._get_pose_of_site(site)
+
+    def _find_tip(self, name: str, weld: int) -> Pose:
+        """Return the pose of a site of the tool in the frame of `_body`."""
+        site = self._find("site", name)
+        owner = int(self.model.site_bodyid[site])
+        if owner != self._body and (weld == 0 or self.model.body_weldid[owner] != weld):
             raise InputError(f"must be a site of the body that carries the tool; {name!r} belongs to another body.",
                              field="tip")
-        body = _make_pose(self.data.xpos[self._body], self.data.xquat[self._body])
-        return multiply_poses(invert_pose(body), self._find_site_pose(name))
+        return multiply_poses(invert_pose(self._get_pose_of_body(self._body)), self._get_pose_of_site(site))
+
+    def _convert_tip(self, named: int, tip: Pose) -> Pose:
+        """Convert the pose of the tool in the frame of the named body to that in the frame of `_body`."""
+        root = invert_pose(self._get_pose_of_body(self._body))
+        return multiply_poses(root, multiply_poses(self._get_pose_of_body(named), tip))
 
     def _find_sensors(self) -> dict[str, int]:
         """Return the first index in ``sensordata`` of each user sensor of `SENSORS` that the model has."""

@@ -6,6 +6,7 @@ the CPU.
 
 from __future__ import annotations
 
+import operator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -51,6 +52,9 @@ class NewtonTissue:
         self._body = _find_body(model, body)
         self._center = model.body_com.numpy()[self._body].astype(float)
         mass = float(model.body_mass.numpy()[self._body])
+        if not mass > 0.0 and not int(model.body_flags.numpy()[self._body]) & _get_kinematic_flag():
+            raise InputError(f"must have a mass, or be kinematic; {body!r} has no mass and is not kinematic. Name the "
+                             "body that carries the mass of the tool.", field="body")
         inertia = model.body_inertia.numpy()[self._body].astype(float)
         has_inertia = mass > 0.0 and np.linalg.eigvalsh(inertia).min() > 0.0
         self.coupling = ToolCoupling(tissue, scene=scene, tip=tip, mass=mass or None,
@@ -96,6 +100,13 @@ class NewtonTissue:
         self.time = state[1]
 
 
+def _get_kinematic_flag() -> int:
+    """Return the flag of bodies whose motion is prescribed."""
+    import newton
+
+    return int(newton.BodyFlags.KINEMATIC)
+
+
 def _find_body(model: Any, body: str | int) -> int:
     """Return the number of a body.
 
@@ -103,11 +114,13 @@ def _find_body(model: Any, body: str | int) -> int:
         InputError: no body or several bodies have this label, or there is no body of this number.
     """
     labels = list(model.body_label)
-    if isinstance(body, int):
-        if not 0 <= body < len(labels):
-            raise InputError(f"must be 0 to {len(labels) - 1}; got {body}.", field="body")
-        return body
-    found = [number for number, label in enumerate(labels) if label == body or label.rsplit("/", 1)[-1] == body]
+    if not isinstance(body, str):
+        number = operator.index(body)
+        if not 0 <= number < len(labels):
+            raise InputError(f"must be 0 to {len(labels) - 1}; got {number}.", field="body")
+        return number
+    found = [number for number, label in enumerate(labels) if label == body] or [
+        number for number, label in enumerate(labels) if label.rsplit("/", 1)[-1] == body]
     if len(found) != 1:
         raise InputError(f"must be the label of one body; {len(found)} bodies have the label {body!r}. "
                          f"Labels: {', '.join(labels)}.", field="body")

@@ -17,8 +17,8 @@ from tissue_sim.realtime.tool_coupling import CouplingLimits, RigidBodyState, To
 from tissue_sim.tool_force import Tissue
 
 
-def make_sofa_controller(root: Any, instrument: Any, force_field: Any, *, tissue: Tissue, scene: Pose | None = None,
-                         tip: Pose | None = None, mass: float | None = None, inertia: Any = None,
+def make_sofa_controller(root: Any, instrument: Any, force_field: Any, *, tissue: Tissue, mass: float | None,
+                         scene: Pose | None = None, tip: Pose | None = None, inertia: Any = None,
                          limits: CouplingLimits | None = None, real_time: bool = False, sofa: Any = None) -> Any:
     """Make a `Sofa.Core.Controller` that applies the force of a tissue to a rigid instrument.
 
@@ -35,7 +35,7 @@ def make_sofa_controller(root: Any, instrument: Any, force_field: Any, *, tissue
         tissue: `Simulator` or other `Tissue`.
         scene: pose in the world of the centre of the undeformed top of the tissue, z axis out of the tissue.
         tip: pose of the tool in the frame of the instrument, z axis from the tip to the handle.
-        mass: kg; the mass of the instrument.
+        mass: mass of the instrument, kg; None: its motion is prescribed.
         inertia: moments of inertia about the centre of mass, kg m2, shape (3,) or (3, 3).
         limits: see `CouplingLimits`.
         real_time: whether the simulation keeps up with the wall clock, see `ToolCoupling`.
