@@ -366,8 +366,8 @@ class ToolCoupling:
             parts: number of parts into which the step of the tissue was divided.
         """
         wrench, static = np.array(answer.wrench), np.array(answer.stiffness_matrix)
-        is_explicit = dt <= 0.0 or twist is None or self.mass is None
-        if twist is None or is_explicit or answer.status in (ForceStatus.REFUSED, ForceStatus.FAILED):
+        reacts = dt > 0.0 and self.mass is not None
+        if twist is None or not reacts or answer.status in (ForceStatus.REFUSED, ForceStatus.FAILED):
             self._acceleration = None
             return wrench
         fraction, step_stiffness = 1.0 / parts, answer.stiffness_matrix_within_step
