@@ -58,7 +58,8 @@ class SceneFrame:
     Attributes:
         frame_id: frame of ROS in which the poses of the tool are given.
         scene: pose of the scene in that frame: position of the centre of the undeformed top face, m, and orientation
-            (w, x, y, z) that rotates the axes of the scene into those of the frame.
+            (w, x, y, z): its rotation matrix converts components along the axes of the scene to components along
+            the axes of the frame.
 
     Raises:
         InputError: the frame has no name, or a number is not finite.
@@ -186,7 +187,8 @@ class PoseWrenchBridge:
     """Answer each pose message by a wrench message, and by a diagnostic message if the status changed.
 
     The wrench is zero if the server did not answer in time, or refused the pose. The first pose, and the first one
-    after the clock of the stamps was restarted, resets the tissue to its undeformed state.
+    after the clock of the stamps was restarted, resets the tissue to its undeformed state. The reset is requested again
+    with each pose until a step is executed, that is, until the status is below 100 and neither REFUSED nor FAILED.
 
     Args:
         client: client of the server.
@@ -200,6 +202,8 @@ class PoseWrenchBridge:
         self._client, self._classes, self._frame, self._tool_frame_id = client, classes, frame, tool_frame_id
         #: Stamp of the newest pose and of the first one, ns; None: no pose yet.
         self._newest: int | None = None
+        #: Whether the next step requests a reset, because no executed step has confirmed the last request.
+        self._needs_reset = True
         self._first = 0
         #: Level, text and stamp of the last diagnostic.
         self._reported: tuple[Any, str, int] | None = None
@@ -258,15 +262,19 @@ class PoseWrenchBridge:
             raise InputError(f"must be {self._frame.frame_id!r}; got {message.header.frame_id!r}. Transform the poses, "
                              "or set the parameter frame_id.", field="frame_id")
         pose, stamp = read_pose_message(message), read_stamp(message.header.stamp)
-        reset = self._newest is None or stamp < self._newest - _CLOCK_RESTART
-        if not reset and self._newest is not None and stamp < self._newest:
+        if self._newest is not None and stamp < self._newest - _CLOCK_RESTART:
+            self._needs_reset, self._newest = True, None
+        if self._newest is not None and stamp < self._newest:
             raise InputError("must not decrease; a later pose was answered already. Send poses in order.",
                              field="stamp")
-        if reset:
+        if self._needs_reset:
             self._first = stamp
         # The difference of integers keeps nanoseconds, which a double of the time since 1970 does not.
-        reply = self._client.step(self._frame.convert_to_scene(pose), at=1e-9 * (stamp - self._first), reset=reset)
+        reply = self._client.step(self._frame.convert_to_scene(pose), at=1e-9 * (stamp - self._first),
+                                  reset=self._needs_reset)
         self._newest = stamp
+        if _is_executed(reply):
+            self._needs_reset = False
         return reply, pose
 
     def _describe(self, reply: Reply) -> tuple[Any, str]:
@@ -276,7 +284,7 @@ class PoseWrenchBridge:
             text = Status(reply.status).message
         except ValueError:
             text = "unknown status of a newer server"
-        if reply.status >= 100 or reply.status in (Status.REFUSED, Status.FAILED):
+        if not _is_executed(reply):
             return levels.ERROR, f"no force: {text}"
         if not all(map(math.isfinite, (*reply.force, *reply.torque))):
             return levels.ERROR, "no force: the force of the reply is not finite"
@@ -292,6 +300,11 @@ class PoseWrenchBridge:
         return make_diagnostic_message(self._classes, stamp, level, text, reply)
 
 
+def _is_executed(reply: Reply) -> bool:
+    """Return whether the server executed the step: its tissue is at the pose, and a requested reset is done."""
+    return reply.status < 100 and reply.status not in (Status.REFUSED, Status.FAILED)
+
+
 def _rotate(pose: Pose, vector: Vector) -> Vector:
     """Return R v, from the axes of a body to those of the frame in which its pose is given."""
     x, y, z = vector
@@ -304,6 +317,33 @@ def _rotate_back(pose: Pose, vector: Vector) -> Vector:
     x, y, z = vector
     a, b, c = pose.rotation_matrix
     return (a[0] * x + b[0] * y + c[0] * z, a[1] * x + b[1] * y + c[1] * z, a[2] * x + b[2] * y + c[2] * z)
+
+
+def _require_positive(value: float, field: str) -> None:
+    """Raise InputError if a duration in s is not finite or not above 0."""
+    if not (math.isfinite(value) and value > 0.0):
+        raise InputError(f"must be positive and finite; got {value} s. Set the parameter {field}.", field=field)
+
+
+def _create_client(port: int, host: str, timeout: float) -> TissueClient:
+    """Return the client of a server.
+
+    Args:
+        port: UDP port, 1 to 65535.
+        host: address of the server.
+        timeout: longest wait for a reply, s.
+
+    Raises:
+        InputError: a value is out of range, or the host is unknown.
+    """
+    if not 0 < port < 65536:
+        raise InputError(f"must be 1 to 65535; got {port}. Set the port that tissue-sim serve prints.", field="port")
+    _require_positive(timeout, "timeout")
+    try:
+        return TissueClient(port, host, timeout)
+    except (OSError, ValueError, OverflowError) as error:
+        raise InputError(f"must be the address of a server; got {host!r} ({error}). Set the parameter host.",
+                         field="host") from None
 
 
 def run_node(arguments: list[str] | None = None) -> int:
@@ -336,7 +376,8 @@ def run_node(arguments: list[str] | None = None) -> int:
     client = None
     try:
         frame = SceneFrame.from_parameters(values["frame_id"], values["scene_position"], values["scene_orientation"])
-        client = TissueClient(values["port"], values["host"], values["timeout"])
+        _require_positive(values["silence"], "silence")
+        client = _create_client(values["port"], values["host"], values["timeout"])
         bridge = PoseWrenchBridge(client, MessageClasses(Header, Vector3, Wrench, WrenchStamped, DiagnosticArray,
                                                          DiagnosticStatus, KeyValue), frame, values["tool_frame_id"])
         # Only the newest pose counts. A best-effort subscription matches all publishers, a reliable publisher all

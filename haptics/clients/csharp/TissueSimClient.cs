@@ -29,7 +29,7 @@ namespace TissueSim
         Released = 102      // answer to a goodbye
     }
 
-    /// <summary>Result of a call. After any result but Ok there is no force to apply.</summary>
+    /// <summary>Result of a call. After any other result than Ok the reply is unchanged: no new force.</summary>
     public enum Outcome
     {
         Ok,
@@ -81,7 +81,8 @@ namespace TissueSim
         public double LeastToolMass;                         // smallest tool mass of a stable explicit coupling, kg
         // Set by TissueClient.Step.
         public bool IsFirst;  // no time step although time advanced: first step at this server, also after its restart,
-                              // or the tissue was reset or restored since the previous reply
+                              // or the tissue was reset or restored since the previous reply,
+                              // or an unanswered request was repeated with the same time
 
         public bool HasForce { get { return Status < 100; } }
         public bool IsInertial { get { return (Flags & 1) != 0; } }
@@ -220,10 +221,22 @@ namespace TissueSim
         readonly double[] upright = { 1, 0, 0, 0 };
         readonly Reply ownReply = new Reply();
         double lastTime = double.NegativeInfinity;  // of the last answered step, also of a late reply
-        bool hasFirst;                              // whether a late reply was the first of a server
+        int answerSize;                             // bytes of the last packet in `answer`
+        double timeout;
+        bool hasFirst;                              // whether a late or refused reply was the first of a server
 
         /// <summary>Longest wait for a reply, s.</summary>
-        public double Timeout;
+        /// <exception cref="ArgumentException">the value is not finite or not above 0.</exception>
+        public double Timeout
+        {
+            get { return timeout; }
+            set
+            {
+                if (!(value > 0.0) || double.IsInfinity(value))
+                    throw new ArgumentException("timeout must be positive and finite; got " + value + " s");
+                timeout = value;
+            }
+        }
 
         /// <summary>Replies with a larger force are refused, N; initially 1000, above the limit of any server.</summary>
         public double LargestForce = 1000.0;
@@ -242,14 +255,12 @@ namespace TissueSim
         /// <param name="version">protocol version, 3 or 2.</param>
         public TissueClient(int port, string host = "127.0.0.1", double timeout = 1.0, int version = 3)
         {
-            if (!(timeout > 0.0) || double.IsInfinity(timeout))
-                throw new ArgumentException("timeout must be positive and finite; got " + timeout + " s");
+            Timeout = timeout;
             if (version != 2 && version != 3)
                 throw new ArgumentException("version must be 2 or 3; got " + version);
             IPAddress address;
             if (!IPAddress.TryParse(host, out address))
                 throw new ArgumentException("host must be a numeric address such as 127.0.0.1; got " + host);
-            Timeout = timeout;
             Message = "";
             request.Version = version;
             byte[] random = new byte[8];
@@ -269,7 +280,7 @@ namespace TissueSim
             Stopwatch clock = Stopwatch.StartNew();
             for (;;)
             {
-                Outcome outcome = Ask(Wire.Goodbye, 0.0, origin, upright, 0, Math.Max(0.05, Timeout), ownReply);
+                Outcome outcome = Ask(Wire.Goodbye, 0.0, origin, upright, 0, Math.Max(0.05, Timeout));
                 if (outcome == Outcome.Ok)
                 {
                     lastTime = double.NegativeInfinity;
@@ -284,12 +295,13 @@ namespace TissueSim
         }
 
         /// <summary>Send a pose and wait for its force. After NoReply or NoServer call it again: it reaches the server as
-        /// soon as that answers, also after a restart.</summary>
+        /// soon as that answers, also after a restart. Ask for a reset again until the reply has a force and its status
+        /// is neither Refused nor Failed: the other replies do not confirm the reset.</summary>
         /// <param name="time">the client's clock, s; it must not decrease.</param>
         /// <param name="position">x, y, z, m.</param>
         /// <param name="orientation">unit quaternion w, x, y, z.</param>
         /// <param name="reset">whether the tissue is reset to its undeformed state before this step.</param>
-        /// <param name="reply">reply that is filled; valid if the result is Ok.</param>
+        /// <param name="reply">reply that is filled if the result is Ok; otherwise unchanged.</param>
         public Outcome Step(double time, double[] position, double[] orientation, bool reset, Reply reply)
         {
             double square = 0.0;
@@ -301,20 +313,24 @@ namespace TissueSim
                 isValid = isValid && IsFinite(position[k]);
             if (!isValid)
                 return Fail(Outcome.BadPose, "time and pose must be finite, and the orientation a unit quaternion");
-            Outcome outcome = Ask(Wire.Step, time, position, orientation, reset ? Wire.Reset : 0, Timeout, reply);
+            Outcome outcome = Ask(Wire.Step, time, position, orientation, reset ? Wire.Reset : 0, Timeout);
             if (outcome != Outcome.Ok)
                 return outcome;
-            if (!reply.HasForce)
+            if (!ownReply.HasForce)
             {
-                Message = Wire.GetText(reply.Status);
-                return Outcome.Ok;
+                Message = Wire.GetText(ownReply.Status);
+                return Wire.DecodeReply(answer, answerSize, reply);
             }
-            double[] f = reply.Force;
-            double[] t = reply.Torque;
+            // Stored before the force is checked: after BadReply the next reply states it.
+            if (IsFirstStep(ownReply))
+                hasFirst = true;
+            double[] f = ownReply.Force;
+            double[] t = ownReply.Torque;
             if (!(f[0] * f[0] + f[1] * f[1] + f[2] * f[2] <= LargestForce * LargestForce)
                 || !IsFinite(t[0]) || !IsFinite(t[1]) || !IsFinite(t[2]))
                 return Fail(Outcome.BadReply, "the force of the reply is not finite, or above the largest force of the client");
-            reply.IsFirst = IsFirstStep(reply) || hasFirst;
+            Wire.DecodeReply(answer, answerSize, reply);
+            reply.IsFirst = hasFirst;
             hasFirst = false;
             return Outcome.Ok;
         }
@@ -323,11 +339,13 @@ namespace TissueSim
         public void Dispose()
         {
             if (socket.Connected)
-                Ask(Wire.Goodbye, 0.0, origin, upright, 0, Timeout, ownReply);
+                Ask(Wire.Goodbye, 0.0, origin, upright, 0, Timeout);
             socket.Close();
         }
 
-        Outcome Ask(int kind, double time, double[] position, double[] orientation, uint flags, double timeout, Reply reply)
+        // Send one request and wait for its own reply. Every reply is decoded into ownReply, which is valid only if the
+        // result is Ok; `answer` then contains its packet.
+        Outcome Ask(int kind, double time, double[] position, double[] orientation, uint flags, double longestWait)
         {
             request.Kind = kind;
             request.Time = time;
@@ -336,7 +354,7 @@ namespace TissueSim
             request.Flags = flags;
             Wire.EncodeRequest(request, packet);
             ulong sequence = request.Sequence++;
-            long end = Stopwatch.GetTimestamp() + (long)(timeout * Stopwatch.Frequency);
+            long end = Stopwatch.GetTimestamp() + (long)(longestWait * Stopwatch.Frequency);
             SocketError error;
             // The first attempt may report that nothing listened at the time of an earlier packet.
             if (socket.Send(packet, 0, packet.Length, SocketFlags.None, out error) != packet.Length &&
@@ -344,20 +362,20 @@ namespace TissueSim
                 return Fail(Outcome.NoServer, NoServerText);
             for (;;)
             {
-                int size = socket.Receive(answer, 0, answer.Length, SocketFlags.None, out error);
+                answerSize = socket.Receive(answer, 0, answer.Length, SocketFlags.None, out error);
                 if (error == SocketError.ConnectionRefused || error == SocketError.ConnectionReset)
                     return Fail(Outcome.NoServer, NoServerText);
                 if (error == SocketError.Success)
                 {
-                    Outcome outcome = Wire.DecodeReply(answer, size, reply);
-                    if (outcome != Outcome.NotAReply && reply.Version != request.Version)
-                        return Fail(Outcome.OtherVersion, "the server uses protocol version " + reply.Version
+                    Outcome outcome = Wire.DecodeReply(answer, answerSize, ownReply);
+                    if (outcome != Outcome.NotAReply && ownReply.Version != request.Version)
+                        return Fail(Outcome.OtherVersion, "the server uses protocol version " + ownReply.Version
                             + ", this client version " + request.Version + "; install the same tissue_sim on both sides");
-                    if (outcome == Outcome.Ok && reply.Session == request.Session)
+                    if (outcome == Outcome.Ok && ownReply.Session == request.Session)
                     {
-                        if (reply.Sequence == sequence)
+                        if (ownReply.Sequence == sequence)
                             return Outcome.Ok;
-                        if (reply.Sequence < sequence && reply.Time > lastTime && IsFirstStep(reply))
+                        if (ownReply.Sequence < sequence && ownReply.Time > lastTime && IsFirstStep(ownReply))
                             hasFirst = true;
                     }
                 }

@@ -8,6 +8,7 @@ static class ClientDriver
 {
     static string[] words;
     static int at;
+    static readonly Reply got = new Reply();  // reply of the last step
 
     static ulong NextInteger() { return ulong.Parse(words[at++], CultureInfo.InvariantCulture); }
 
@@ -92,7 +93,6 @@ static class ClientDriver
         double time = NextDouble();
         double[] position = NextDoubles(3);
         double[] orientation = NextDoubles(4);
-        Reply got = new Reply();
         Outcome outcome = client.Step(time, position, orientation, NextInteger() == 1, got);
         if (outcome == Outcome.Ok && got.HasForce)
             return "ok " + got.Status + " " + (got.IsFirst ? 1 : 0) + Hex(got.Force) + Hex(got.Dt);
@@ -139,6 +139,18 @@ static class ClientDriver
                     answer = NameOf(outcome) + " " + (outcome == Outcome.Ok ? "" : client.Message);
                     break;
                 case "largest": client.LargestForce = NextDouble(); answer = "ok"; break;
+                case "timeout":
+                    try
+                    {
+                        client.Timeout = NextDouble();
+                        answer = "ok";
+                    }
+                    catch (ArgumentException error)
+                    {
+                        answer = "refused " + error.Message;
+                    }
+                    break;
+                case "force": answer = "ok" + Hex(got.Force); break;
                 case "step": answer = Step(client); break;
                 case "close": client.Dispose(); answer = "ok"; break;
             }

@@ -16,7 +16,7 @@ namespace UnityEngine
     public class Transform
     {
         public Vector3 position { get { return new Vector3(); } }
-        public Quaternion rotation { get { return new Quaternion(); } }
+        public Quaternion rotation { get { return new Quaternion { w = 1.0f }; } }
         public Vector3 InverseTransformPoint(Vector3 position) { return position; }
         public Vector3 TransformDirection(Vector3 direction) { return direction; }
     }

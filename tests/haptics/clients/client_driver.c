@@ -9,6 +9,7 @@
 #include <string.h>
 
 static char line[8192];
+static tissue_sim_answer answer; /* of the last step */
 
 static uint64_t next_integer(void)
 {
@@ -115,19 +116,18 @@ static void step(tissue_sim_client *client)
 {
     const double time = next_double();
     tissue_sim_pose pose;
-    tissue_sim_answer got;
     uint32_t flags;
     int code;
     next_doubles(pose.position, 3);
     next_doubles(pose.orientation, 4);
     flags = (uint32_t)next_integer();
-    code = tissue_sim_step(client, time, &pose, flags, &got);
-    if (code == TISSUE_SIM_OK && got.status < 100) {
-        printf("ok %u %d", got.status, got.is_first);
-        print_doubles(got.force, 3);
-        print_doubles(&got.dt, 1);
+    code = tissue_sim_step(client, time, &pose, flags, &answer);
+    if (code == TISSUE_SIM_OK && answer.status < 100) {
+        printf("ok %u %d", answer.status, answer.is_first);
+        print_doubles(answer.force, 3);
+        print_doubles(&answer.dt, 1);
     } else {
-        printf("%s %s", code == TISSUE_SIM_OK ? name_of((int)got.status) : name_of(code), tissue_sim_message(client));
+        printf("%s %s", code == TISSUE_SIM_OK ? name_of((int)answer.status) : name_of(code), tissue_sim_message(client));
     }
 }
 
@@ -177,6 +177,12 @@ int main(void)
         } else if (strcmp(command, "largest") == 0) {
             client.largest_force = next_double();
             printf("ok");
+        } else if (strcmp(command, "timeout") == 0) {
+            client.timeout = next_double();
+            printf("ok");
+        } else if (strcmp(command, "force") == 0) {
+            printf("ok");
+            print_doubles(answer.force, 3);
         } else if (strcmp(command, "step") == 0) {
             step(&client);
         } else if (strcmp(command, "close") == 0) {

@@ -371,3 +371,65 @@ def test_header_alone_needs_nothing_else(root, tmp_path):
                           encoding="utf-8")
     assert done.returncode == 0, done.stderr
     assert drive(program).stdout == BUSY + "\n"
+
+
+#: Replacement of the Winsock header that counts calls; `startup_result` is the result of WSAStartup.
+WINSOCK = """#include <arpa/inet.h>
+#include <stdint.h>
+#include <sys/select.h>
+#include <sys/socket.h>
+#include <unistd.h>
+typedef int SOCKET;
+typedef struct { int unused; } WSADATA;
+typedef unsigned long DWORD;
+typedef union { int64_t QuadPart; } LARGE_INTEGER;
+#define INVALID_SOCKET (-1)
+#define FIONBIO 1L
+#define WSAECONNRESET 1
+#define WSAEWOULDBLOCK 2
+#define MAKEWORD(low, high) ((low) | (high) << 8)
+static int startups, cleanups, startup_result;
+static int WSAStartup(int version, WSADATA *data) { (void)version; (void)data; startups++; return startup_result; }
+static int WSACleanup(void) { cleanups++; return 0; }
+static int WSAGetLastError(void) { return WSAEWOULDBLOCK; }
+static void WSASetLastError(int error) { (void)error; }
+static int ioctlsocket(SOCKET own, long command, u_long *value) { (void)own; (void)command; (void)value; return 0; }
+static int closesocket(SOCKET own) { return close(own); }
+static void Sleep(DWORD milliseconds) { (void)milliseconds; }
+static int QueryPerformanceCounter(LARGE_INTEGER *count) { static int64_t now; count->QuadPart = now++; return 1; }
+static int QueryPerformanceFrequency(LARGE_INTEGER *count) { count->QuadPart = 1; return 1; }
+"""
+
+#: Opens clients that fail and one that does not; prints the numbers of WSAStartup and WSACleanup after each.
+WINSOCK_PROGRAM = """#define TISSUE_SIM_CLIENT_IMPLEMENTATION
+#include "tissue_sim_client.h"
+int main(void) {
+    tissue_sim_client client;
+    memset(&client, 0x5a, sizeof client);
+    startup_result = 1;
+    printf("%d ", tissue_sim_open(&client, "127.0.0.1", 9, 1.0));
+    printf("%s. ", tissue_sim_message(&client));
+    tissue_sim_close(&client);
+    printf("%d %d\\n", startups, cleanups);
+    startup_result = 0;
+    printf("%d ", tissue_sim_open(&client, "localhost", 9, 1.0));
+    tissue_sim_close(&client);
+    printf("%d %d\\n", startups, cleanups);
+    printf("%d ", tissue_sim_open(&client, "127.0.0.1", 9, 0.5));
+    tissue_sim_close(&client);
+    tissue_sim_close(&client);
+    printf("%d %d\\n", startups, cleanups);
+    return 0;
+}
+"""
+
+
+def test_each_startup_of_winsock_has_its_cleanup(root, tmp_path):
+    """The code for Windows with a replacement of Winsock: a failed WSAStartup needs no WSACleanup, all others one."""
+    (tmp_path / "winsock2.h").write_text(WINSOCK, encoding="utf-8")
+    (tmp_path / "ws2tcpip.h").write_text("", encoding="utf-8")
+    (tmp_path / "windows.c").write_text(WINSOCK_PROGRAM, encoding="utf-8")
+    compile_or_fail(COMPILER, "-std=gnu99", "-D_WIN32", f"-I{tmp_path}", f"-I{root / CLIENT / 'include'}", "-o",
+                    tmp_path / "windows", tmp_path / "windows.c")
+    assert drive(tmp_path / "windows").stdout.splitlines() == [
+        "-2 the address must be a numeric IPv4 address and the time-out positive. 1 0", "-2 2 1", "0 3 2"]

@@ -262,6 +262,68 @@ def test_invalid_force_is_not_returned(driver, wrong):
         driver.ask("close")
 
 
+def test_first_step_is_stated_after_a_reply_with_an_invalid_force(driver):
+    """The first reply of the server has no finite force; the next answer states the first step."""
+    with answering(lambda request: [reply_to(request, math.nan if request.time == 1.0 else 7.0,
+                                             dt=0.0 if request.time == 1.0 else 0.5)]) as port:
+        driver.open(port)
+        assert driver.step(1.0, 0.001)[0] == "bad_reply"
+        assert force(driver.step(2.0, 0.001)) == (ForceStatus.CONVERGED, True, 7.0)
+        assert force(driver.step(3.0, 0.001)) == (ForceStatus.CONVERGED, False, 7.0)
+        driver.ask("close")
+
+
+@pytest.mark.parametrize("case", ["late", "invalid"])
+def test_answer_is_unchanged_without_a_valid_reply(driver, case):
+    """A late reply to the step before arrives while this step has none; or the force of the reply is not finite."""
+    def replies(request):
+        if request.time < 1.0:
+            return [reply_to(request, 7.0)]
+        if case == "late":
+            return [reply_to(request, -1.0, sequence=request.sequence - 1)]
+        return [reply_to(request, math.nan)]
+
+    with answering(replies) as port:
+        driver.open(port)
+        assert force(driver.step(0.0, 0.001))[2] == 7.0
+        if case == "late":
+            driver.ask("timeout", to_hex(0.2))
+        assert driver.step(1.0, 0.001)[0] == {"late": "no_reply", "invalid": "bad_reply"}[case]
+        assert [from_hex(word) for word in driver.ask("force")[1:]] == [0.0, 0.0, 7.0]
+        driver.ask("close")
+
+
+@pytest.mark.parametrize("timeout", [math.nan, 0.0, -1.0, math.inf])
+def test_invalid_time_out_is_refused(command, driver, timeout):
+    """C# refuses the assignment and keeps its value; C refuses the next step, and sends nothing."""
+    requests = []
+
+    def record(request):
+        requests.append(request)
+        return [reply_to(request, 7.0)]
+
+    with answering(record) as port:
+        driver.open(port)
+        words = driver.ask("timeout", to_hex(timeout))
+        if command[0].endswith("mono"):
+            assert words[0] == "refused" and "positive and finite" in " ".join(words)
+            assert force(driver.step(0.0, 0.001))[2] == 7.0
+        else:
+            assert sentence(driver.step(0.0, 0.001)) == (
+                "other", "the address must be a numeric IPv4 address and the time-out positive")
+            assert not requests
+            assert driver.ask("timeout", to_hex(60.0)) == ["ok"]
+        driver.ask("close")
+
+
+def test_largest_force_that_is_not_a_number_accepts_no_force(driver):
+    with answering(lambda request: [reply_to(request, 7.0)]) as port:
+        driver.open(port)
+        assert driver.ask("largest", to_hex(math.nan)) == ["ok"]
+        assert driver.step(0.0, 0.001)[0] == "bad_reply"
+        driver.ask("close")
+
+
 #: Scene to engine: Unity exchanges y and z; Unreal changes the sign of y, and counts in cm.
 UNITY = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0]])
 UNREAL = np.diag([1.0, -1.0, 1.0])

@@ -1,6 +1,7 @@
 """The programs in docs/client_c.md and docs/client_csharp.md: compiled without a warning, and run against a server."""
 
 import re
+import socket
 import subprocess
 import threading
 
@@ -8,6 +9,7 @@ import pytest
 from client_drivers import C_COMPILER, CPP_COMPILER, MCS, MONO, WARNINGS, compile_or_fail, needs_c, needs_csharp
 
 from haptics.server.server import TissueServer
+from haptics.server.wire import Reply, RequestKind, Status, decode_request_without_pose_check, encode_reply
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 #: Output of the programs: a spring of 800 N/m.
@@ -65,6 +67,111 @@ def test_csharp_program_and_unity_component(root, tmp_path, port):
     compile_or_fail(MCS, "-langversion:7", "-warnaserror", "-nowarn:649", "-target:library",
                     f"-out:{tmp_path / 'tool.dll'}", client, tmp_path / "TissueTool.cs",
                     root / "tests" / "haptics" / "clients" / "UnityEngineDeclarations.cs")
+
+
+#: Calls the component of the documentation with a server whose statuses are REFUSED, FAILED and CONVERGED.
+COMPONENT_PROGRAM = """using System;
+using System.Reflection;
+using TissueSim;
+using UnityEngine;
+
+static class Program
+{
+    static void Main(string[] arguments)
+    {
+        TissueTool tool = new TissueTool();
+        tool.scene = new Transform();
+        tool.tip = new Transform();
+        tool.body = new Rigidbody();
+        tool.port = int.Parse(arguments[0]);
+        Call(tool, "OnEnable");
+        FieldInfo client = typeof(TissueTool).GetField("client", BindingFlags.NonPublic | BindingFlags.Instance);
+        ((TissueClient)client.GetValue(tool)).Timeout = 60.0;
+        for (int k = 0; k < 4; k++)
+            Call(tool, "FixedUpdate");
+        Call(tool, "OnDisable");
+    }
+
+    static void Call(TissueTool tool, string name)
+    {
+        typeof(TissueTool).GetMethod(name, BindingFlags.NonPublic | BindingFlags.Instance).Invoke(tool, null);
+    }
+}
+"""
+
+
+def flags_of_steps(statuses, run):
+    """Flags of the steps that a program sends to a server whose answers have these statuses."""
+    flags = []
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server:
+        server.bind(("127.0.0.1", 0))
+
+        def answer():
+            steps = iter(statuses)
+            while True:
+                packet, address = server.recvfrom(200)
+                if packet == b"end":
+                    return
+                request = decode_request_without_pose_check(packet)
+                status = Status.RELEASED
+                if request.kind == RequestKind.STEP:
+                    flags.append(int(request.flags))
+                    status = next(steps, Status.CONVERGED)
+                server.sendto(encode_reply(Reply(status, request.sequence, request.time, request.session,
+                                                 (0.0, 0.0, 0.0))), address)
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        try:
+            run(server.getsockname()[1])
+        finally:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as end:
+                end.sendto(b"end", server.getsockname())
+            thread.join(300.0)
+    return flags
+
+
+@needs_c
+def test_c_programs_request_the_reset_until_a_step_is_executed(root, tmp_path):
+    sources = root / "haptics" / "clients" / "c"
+    program, = blocks(root, "client_c.md", "c")
+    (tmp_path / "program.c").write_text(program, encoding="utf-8")
+    statuses = [Status.REFUSED, Status.FAILED]
+    for source, words in ((tmp_path / "program.c", []), (sources / "examples" / "drive_needle.c", [0.001, 5])):
+        compile_or_fail(C_COMPILER, "-std=c99", *WARNINGS, f"-I{sources / 'include'}", "-o", tmp_path / source.stem,
+                        source)
+        assert flags_of_steps(statuses, lambda port, program=tmp_path / source.stem, words=words: output(
+            program, port, *words)) == [1, 1, 1, 0, 0, 0]
+
+
+@needs_c
+@pytest.mark.skipif(CPP_COMPILER is None, reason="compiles the example at 1 kHz and finds no C++ compiler on this "
+                    "machine (Debian: apt-get install g++)")
+def test_example_loop_requests_the_reset_until_a_step_is_executed(root, tmp_path):
+    """An answered step ends the reset; a busy machine may answer later than within the period of the loop."""
+    sources = root / "haptics" / "clients" / "c"
+    # With a time-out of one minute every step is answered.
+    text = (sources / "examples" / "haptic_loop.cpp").read_text(encoding="utf-8").replace(", period);", ", 60.0);")
+    (tmp_path / "loop.cpp").write_text(text, encoding="utf-8")
+    compile_or_fail(CPP_COMPILER, "-std=c++11", *WARNINGS, f"-I{sources / 'include'}", "-o", tmp_path / "loop",
+                    tmp_path / "loop.cpp")
+    flags = flags_of_steps([Status.REFUSED, Status.FAILED], lambda port: output(tmp_path / "loop", port, 1.0))
+    assert flags[:3] == [1, 1, 1] and set(flags[3:]) == {0}
+
+
+@needs_csharp
+def test_csharp_programs_request_the_reset_until_a_step_is_executed(root, tmp_path):
+    client = root / "haptics" / "clients" / "csharp" / "TissueSimClient.cs"
+    program, component = blocks(root, "client_csharp.md", "csharp")
+    for name, text in (("Program", program), ("TissueTool", component), ("ComponentProgram", COMPONENT_PROGRAM)):
+        (tmp_path / f"{name}.cs").write_text(text, encoding="utf-8")
+    compile_or_fail(MCS, "-langversion:7", f"-out:{tmp_path / 'program.exe'}", client, tmp_path / "Program.cs")
+    compile_or_fail(MCS, "-langversion:7", f"-out:{tmp_path / 'component.exe'}", client, tmp_path / "TissueTool.cs",
+                    tmp_path / "ComponentProgram.cs",
+                    root / "tests" / "haptics" / "clients" / "UnityEngineDeclarations.cs")
+    for name, expected in (("program", [1, 1, 1, 0, 0, 0]), ("component", [1, 1, 1, 0])):
+        assert flags_of_steps([Status.REFUSED, Status.FAILED], lambda port, name=name: output(
+            MONO, tmp_path / f"{name}.exe", port)) == expected
 
 
 @needs_c

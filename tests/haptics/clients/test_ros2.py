@@ -259,6 +259,39 @@ def test_each_status_has_its_level(status, level, axial_force):
     assert diagnostic.status[0].level == level and vectors(wrench)[0] == (0.0, 0.0, axial_force)
 
 
+def test_reset_is_requested_until_a_step_is_executed():
+    """At the start, and after the clock of the stamps was restarted."""
+    statuses = [Status.BUSY, Status.REFUSED, Status.FAILED, Status.CONVERGED, Status.REFUSED, Status.CONVERGED,
+                Status.BUSY, Status.LATE, Status.CONVERGED]
+    stamps = [START, START, START, START + 1, START + 2, START + 3, 10, 11, 12]
+    requests = []
+
+    def step(pose, at, reset):
+        requests.append((at, reset))
+        return Reply(statuses[len(requests) - 1], 0, at)
+
+    bridge = PoseWrenchBridge(SimpleNamespace(step=step), CLASSES, SceneFrame("world"))
+    for seconds in stamps:
+        bridge.answer(make_pose_message((0.0, 0.0, 0.0), seconds=seconds))
+    assert [reset for _, reset in requests] == [True] * 4 + [False] * 2 + [True] * 2 + [False]
+    assert [at for at, _ in requests] == pytest.approx([0.0] * 4 + [1.0, 2.0] + [0.0] * 2 + [1.0])
+
+
+def test_reset_is_requested_again_after_a_time_out():
+    resets = []
+
+    def step(pose, at, reset):
+        resets.append(reset)
+        if len(resets) in (1, 4):
+            raise TimeoutError
+        return Reply(Status.CONVERGED, 0, at)
+
+    bridge = PoseWrenchBridge(SimpleNamespace(step=step), CLASSES, SceneFrame("world"))
+    for seconds in (START, START + 1, START + 2, 10, 11, 12):
+        bridge.answer(make_pose_message((0.0, 0.0, 0.0), seconds=seconds))
+    assert resets == [True, True, False, True, True, False]
+
+
 def test_force_that_is_not_finite_is_not_published():
     client = SimpleNamespace(step=lambda pose, at, reset: Reply(0, 0, at, force=(0.0, math.nan, 2.0)))
     bridge = PoseWrenchBridge(client, CLASSES, SceneFrame("world"))
@@ -335,6 +368,18 @@ def test_node_publishes_wrenches_and_diagnostics(monkeypatch):
     assert {wrench.header.frame_id for wrench in wrenches} == {"tool_tip"}
     assert [each.status[0].level for each in diagnostics] == [LEVELS.STALE, LEVELS.OK]
     assert node.resets == 3
+
+
+@pytest.mark.parametrize(("parameters", "text"), [
+    ({"timeout": -1.0}, "timeout: must be positive"), ({"timeout": 0.0}, "timeout: must be positive"),
+    ({"timeout": math.nan}, "timeout: must be positive"), ({"silence": 0.0}, "silence: must be positive"),
+    ({"port": 70000}, "port: must be 1 to 65535"), ({"port": -1}, "port: must be 1 to 65535"),
+    ({"host": "host.invalid"}, "host: must be the address of a server"),
+    ({"host": 70 * "a" + ".invalid"}, "host: must be the address of a server")])
+def test_node_refuses_an_invalid_address_or_duration(monkeypatch, capsys, parameters, text):
+    install_replacement(monkeypatch, ReplacementNode(parameters), lambda _: None)
+    assert run_node([]) == 1
+    assert text in capsys.readouterr().err
 
 
 def test_node_refuses_an_invalid_parameter(monkeypatch, capsys):

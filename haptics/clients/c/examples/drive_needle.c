@@ -12,16 +12,19 @@
 #include <stdio.h>
 #include <stdlib.h>
 
-static int go(tissue_sim_client *client, double time, double depth, uint32_t flags)
+/* Step to a depth and print the answer. `flags` is set to 0 as soon as an answer confirms the reset. */
+static int step_to_depth(tissue_sim_client *client, double time, double depth, uint32_t *flags)
 {
     tissue_sim_pose pose = {{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0, 0.0}};
     tissue_sim_answer answer;
     int code;
 
     pose.position[2] = -depth;
-    code = tissue_sim_step(client, time, &pose, flags, &answer);
+    code = tissue_sim_step(client, time, &pose, *flags, &answer);
     if (code == TISSUE_SIM_OK && answer.status < 100) {
         printf("%.17g %.17g %u\n", depth, answer.force[2], answer.status);
+        if (answer.status != TISSUE_SIM_REFUSED && answer.status != TISSUE_SIM_FAILED)
+            *flags = 0;
         return 0;
     }
     fprintf(stderr, "drive_needle: %s\n", tissue_sim_message(client));
@@ -52,13 +55,13 @@ int main(int argc, char **argv)
             tissue_sim_close(&client);
             return 2;
         }
-        for (; !failed && fscanf(path, "%lf %lf", &time, &depth) == 2; flags = 0)
-            failed = go(&client, time, depth, flags);
+        for (; !failed && fscanf(path, "%lf %lf", &time, &depth) == 2;)
+            failed = step_to_depth(&client, time, depth, &flags);
         fclose(path);
     } else {
         int k, steps = atoi(argv[3]);
-        for (k = 0; !failed && k <= steps; k++, flags = 0)
-            failed = go(&client, 1e-3 * k, atof(argv[2]) * k / (steps > 0 ? steps : 1), flags);
+        for (k = 0; !failed && k <= steps; k++)
+            failed = step_to_depth(&client, 1e-3 * k, atof(argv[2]) * k / (steps > 0 ? steps : 1), &flags);
     }
     tissue_sim_close(&client);
     return failed;

@@ -89,7 +89,8 @@ int main(int argc, char **argv)
             last = answer;
             last_time = time;
             last_depth = depth;
-            flags = 0;
+            if (answer.status != TISSUE_SIM_REFUSED && answer.status != TISSUE_SIM_FAILED)
+                flags = 0; // the reset is done
         } else if (code == TISSUE_SIM_NO_REPLY || code == TISSUE_SIM_NO_SERVER) {
             (code == TISSUE_SIM_NO_REPLY ? late : outages)++;
             text = tissue_sim_message(&client);

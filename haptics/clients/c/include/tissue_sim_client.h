@@ -55,7 +55,7 @@ enum {
     TISSUE_SIM_RELEASED = 102       /* answer to a goodbye */
 };
 
-/* Return values of the functions. After a negative value there is no force to apply. */
+/* Return values of the functions. After any other result than TISSUE_SIM_OK the answer is unchanged: no new force. */
 enum {
     TISSUE_SIM_OK = 0,
     TISSUE_SIM_NO_REPLY = -1,      /* within the time-out; the next call tries again */
@@ -125,10 +125,10 @@ typedef struct {
     uint64_t session; /* identifies this client; random after tissue_sim_open. Set it for a server with --session */
     long polls;       /* number of polls for a reply, about 1 us each, before sleeping until it arrives; initially 0 */
     unsigned version; /* protocol version, 3 or 2; initially TISSUE_SIM_VERSION */
-    double timeout;   /* longest wait for a reply, s */
+    double timeout;   /* longest wait for a reply, s, finite and above 0; otherwise a call returns BAD_ADDRESS */
     double largest_force; /* replies with a larger force are refused, N; initially 1000, above the limit of any server */
     double last_time; /* time of the last answered step, also of a late reply, s; initially the smallest double */
-    int has_first;    /* whether a late reply was the first of a server; the next answer states it */
+    int has_first;    /* whether a late or refused reply was the first of a server; the next answer states it */
     unsigned server_version; /* version of the last reply; 0: no reply yet */
     char message[TISSUE_SIM_MESSAGE_SIZE]; /* last error as one sentence */
 } tissue_sim_client;
@@ -143,11 +143,13 @@ TISSUE_SIM_API int tissue_sim_open(tissue_sim_client *client, const char *host, 
 TISSUE_SIM_API int tissue_sim_connect(tissue_sim_client *client, double longest_wait_s);
 
 /* Send a pose and wait for its force. `time` is the client's clock, s; it must not decrease.
- * After NO_REPLY or NO_SERVER call it again: it reaches the server as soon as that answers, also after a restart. */
+ * After NO_REPLY or NO_SERVER call it again: it reaches the server as soon as that answers, also after a restart.
+ * `answer` is written only if the result is TISSUE_SIM_OK. Send TISSUE_SIM_RESET again until the status is below 100
+ * and neither TISSUE_SIM_REFUSED nor TISSUE_SIM_FAILED: the other answers do not confirm the reset. */
 TISSUE_SIM_API int tissue_sim_step(tissue_sim_client *client, double time, const tissue_sim_pose *pose, uint32_t flags,
                                    tissue_sim_answer *answer);
 
-/* Release the tissue for other clients, and close the socket. */
+/* Release the tissue for other clients, and close the socket. No effect on a client that is not open. */
 TISSUE_SIM_API void tissue_sim_close(tissue_sim_client *client);
 
 /* Return the meaning of a return value, or of the status of an answer. */
@@ -280,13 +282,15 @@ static double tissue_sim_now_(void)
 #endif
 }
 
-/* Sleep until a packet arrives, or for a time in s. A socket of -1 only sleeps. */
+/* Sleep until a packet arrives, or for a time in s, at most one hour. A socket of -1 only sleeps. */
 static void tissue_sim_sleep_(TISSUE_SIM_SOCKET_ own, int has_socket, double seconds)
 {
     struct timeval longest;
     fd_set readable;
     if (!(seconds > 0.0))
         return;
+    if (seconds > 3600.0) /* a greater number of seconds may exceed the fields of timeval */
+        seconds = 3600.0;
 #ifdef _WIN32
     if (!has_socket) { /* select without a socket is an error on Windows */
         Sleep((DWORD)(seconds * 1e3) + 1);
@@ -304,12 +308,13 @@ static void tissue_sim_sleep_(TISSUE_SIM_SOCKET_ own, int has_socket, double sec
     (void)select(has_socket ? (int)own + 1 : 0, &readable, NULL, NULL, &longest);
 }
 
-/* The next packet before a time on the clock, or -1: sleeping takes no processor, and waking up some 10 us. */
-static int tissue_sim_receive_(TISSUE_SIM_SOCKET_ own, unsigned char *packet, int room, long polls, double end)
+/* Return the size of the next packet, or -1 if none arrives before a time on the clock. Sleeping uses no processor
+ * time; waking up takes about 10 us. */
+static int tissue_sim_receive_(TISSUE_SIM_SOCKET_ own, unsigned char *packet, int capacity, long polls, double end)
 {
     for (;;) {
         double rest;
-        int size = (int)recv(own, (char *)packet, TISSUE_SIM_LENGTH_(room), 0);
+        int size = (int)recv(own, (char *)packet, TISSUE_SIM_LENGTH_(capacity), 0);
         if (size >= 0 || !TISSUE_SIM_IS_EMPTY_) /* the system reports an error once */
             return size;
         rest = end - tissue_sim_now_();
@@ -408,15 +413,19 @@ static int tissue_sim_is_first_(tissue_sim_client *client, const tissue_sim_answ
     return is_first;
 }
 
-/* Send one request and wait for its own reply; of late replies to earlier requests only is_first is used. */
+/* Send one request and wait for its own reply; of late replies to earlier requests only is_first is used. Every reply
+ * is decoded into `answer`, which is valid only if the result is TISSUE_SIM_OK. */
 static int tissue_sim_ask_(tissue_sim_client *client, unsigned kind, double time, const tissue_sim_pose *pose,
                            uint32_t flags, double timeout, tissue_sim_answer *answer)
 {
     TISSUE_SIM_SOCKET_ own = (TISSUE_SIM_SOCKET_)client->socket;
     unsigned char packet[TISSUE_SIM_REPLY_SIZE + 1];
     tissue_sim_request request;
-    double end = tissue_sim_now_() + timeout;
+    double end;
 
+    if (!tissue_sim_are_finite_(&timeout, 1) || !(timeout > 0.0))
+        return tissue_sim_fail_(client, TISSUE_SIM_BAD_ADDRESS);
+    end = tissue_sim_now_() + timeout;
     request.version = client->version;
     request.kind = kind;
     request.sequence = client->sequence++;
@@ -477,12 +486,14 @@ int tissue_sim_open(tissue_sim_client *client, const char *host, uint16_t port, 
 #ifdef _WIN32
     u_long nonblocking = 1;
     WSADATA started;
-    if (WSAStartup(MAKEWORD(2, 2), &started) != 0)
-        return TISSUE_SIM_BAD_ADDRESS;
 #endif
     memset(client, 0, sizeof *client);
     client->socket = -1;
     (void)tissue_sim_fail_(client, TISSUE_SIM_BAD_ADDRESS);
+#ifdef _WIN32
+    if (WSAStartup(MAKEWORD(2, 2), &started) != 0)
+        return TISSUE_SIM_BAD_ADDRESS;
+#endif
     memset(&server, 0, sizeof server);
     server.sin_family = AF_INET;
     server.sin_port = htons(port);
@@ -496,6 +507,9 @@ int tissue_sim_open(tissue_sim_client *client, const char *host, uint16_t port, 
         inet_pton(AF_INET, host, &server.sin_addr) != 1 ||
         connect(own, (const struct sockaddr *)&server, sizeof server) != 0) {
         tissue_sim_close_socket_(own);
+#ifdef _WIN32
+        WSACleanup();
+#endif
         return TISSUE_SIM_BAD_ADDRESS;
     }
     client->socket = (intptr_t)own;
@@ -534,25 +548,31 @@ int tissue_sim_step(tissue_sim_client *client, double time, const tissue_sim_pos
 {
     const double *q = pose->orientation;
     const double square = q[0] * q[0] + q[1] * q[1] + q[2] * q[2] + q[3] * q[3];
+    tissue_sim_answer received;
     int code;
 
     /* A length of 1 within 1e-3, as at the server. */
     if (!tissue_sim_are_finite_(&time, 1) || !tissue_sim_are_finite_(pose->position, 3) ||
         !tissue_sim_are_finite_(q, 4) || square < 0.999 * 0.999 || square > 1.001 * 1.001)
         return tissue_sim_fail_(client, TISSUE_SIM_BAD_POSE);
-    code = tissue_sim_ask_(client, TISSUE_SIM_STEP, time, pose, flags, client->timeout, answer);
+    code = tissue_sim_ask_(client, TISSUE_SIM_STEP, time, pose, flags, client->timeout, &received);
     if (code != TISSUE_SIM_OK)
         return code;
-    if (answer->status >= 100) {
-        (void)tissue_sim_fail_(client, (int)answer->status);
+    if (received.status >= 100) {
+        (void)tissue_sim_fail_(client, (int)received.status);
+        *answer = received;
         return TISSUE_SIM_OK;
     }
-    if (!tissue_sim_are_finite_(answer->force, 3) || !tissue_sim_are_finite_(answer->torque, 3) ||
-        answer->force[0] * answer->force[0] + answer->force[1] * answer->force[1] +
-                answer->force[2] * answer->force[2] > client->largest_force * client->largest_force)
+    /* Stored before the force is checked: after BAD_REPLY the next answer states it. */
+    if (tissue_sim_is_first_(client, &received))
+        client->has_first = 1;
+    if (!tissue_sim_are_finite_(received.force, 3) || !tissue_sim_are_finite_(received.torque, 3) ||
+        !(received.force[0] * received.force[0] + received.force[1] * received.force[1] +
+                  received.force[2] * received.force[2] <= client->largest_force * client->largest_force))
         return tissue_sim_fail_(client, TISSUE_SIM_BAD_REPLY);
-    answer->is_first = tissue_sim_is_first_(client, answer) || client->has_first;
+    received.is_first = client->has_first;
     client->has_first = 0;
+    *answer = received;
     return TISSUE_SIM_OK;
 }
 
@@ -560,6 +580,9 @@ void tissue_sim_close(tissue_sim_client *client)
 {
     static const tissue_sim_pose origin = {{0.0, 0.0, 0.0}, {1.0, 0.0, 0.0, 0.0}};
     tissue_sim_answer answer;
+
+    if (client->socket == -1)
+        return;
     (void)tissue_sim_ask_(client, TISSUE_SIM_GOODBYE, 0.0, &origin, 0, client->timeout, &answer);
     tissue_sim_close_socket_((TISSUE_SIM_SOCKET_)client->socket);
     client->socket = -1;
