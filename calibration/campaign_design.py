@@ -59,7 +59,13 @@ class CampaignDesign(Job):
         return list_possible_design_result_paths(self.campaign, self.folder)
 
     def decode_result(self, found: Mapping[str, Any]) -> tuple[Design, Sequence[str]]:
-        """Convert the content of ``design.json``; see `Job.decode_result`."""
+        """Convert the content of ``design.json``; see `Job.decode_result`.
+
+        Raises:
+            ValueError: figures are requested, and the report has none.
+        """
+        if self.figures and not found["figures"]:
+            raise ValueError("the report has no figures")
         return msgspec.convert(found, Design), [
             *TABLES_OF_DESIGN, *list_test_figure_file_names(self.campaign, self.figures_format, held_out=False)]
 
@@ -85,5 +91,5 @@ class CampaignDesign(Job):
             self.context.report_progress("writing the report")
             write_design_report(design, evidence, self.folder, figures=self.figures,
                                 figures_format=self.figures_format)
-            self.write_result_file(msgspec.to_builtins(design))
+            self.write_result_file({**msgspec.to_builtins(design), "figures": self.figures})
         return design

@@ -1,7 +1,7 @@
 """Jobs on campaigns: the interface of a fit, a diagnosis, a design or a plug-in, and the function that runs jobs.
 
-`run_jobs` runs any list of jobs of one kind. It reads the results of finished jobs, checks the other jobs before it
-writes a file, claims the output folder, and runs the jobs. A job distributes its tasks with
+`run_jobs` runs any list of jobs of one kind. It checks the output folder, reads the results of finished jobs, checks
+the other jobs before it writes a file, claims the output folder, and runs the jobs. A job distributes its tasks with
 `calibration.fit.run_context.RunContext`: in this process, in worker processes or on a cluster.
 
 A run may end at any time, by Ctrl-C, by `kill` or by a power failure. Each simulation is stored as soon as it is
@@ -30,7 +30,12 @@ from calibration.campaign.measured import MeasuredCurve, compute_input_and_versi
 from calibration.effects.effect import CATALOGUE
 from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache, hash_content_and_source_code
-from calibration.output_folder import SOLVES, SUMMARY_FILE, remove_earlier_results_and_claim_folder
+from calibration.output_folder import (
+    SOLVES,
+    SUMMARY_FILE,
+    check_output_folder,
+    remove_earlier_results_and_claim_folder,
+)
 from tissue_sim.decode import read_json_value
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.files import write_text
@@ -167,6 +172,9 @@ def run_jobs(jobs: Sequence[Job], output: Path | None, *, overwrite: bool = Fals
         ConvergenceError: a job has no result; the results of the other jobs are written.
         WorkerError: a worker process ends each time it works on a task.
     """
+    if output is not None:
+        # Checks of jobs may take minutes.
+        check_output_folder(*_list_folder_contents(jobs, output), overwrite=overwrite)
     finished = [None if overwrite or output is None else job.read_finished_result_or_none() for job in jobs]
     for job, result in zip(jobs, finished, strict=True):
         if result is None:
@@ -174,7 +182,7 @@ def run_jobs(jobs: Sequence[Job], output: Path | None, *, overwrite: bool = Fals
                 job.solves.set_read_folder(job.folder / SOLVES)
             job.check_before_writing()
     if output is not None:
-        _claim_folder_for_jobs(jobs, output, overwrite=overwrite)
+        remove_earlier_results_and_claim_folder(*_list_folder_contents(jobs, output), overwrite=overwrite)
     results, failures = [], []
     for job, result in zip(jobs, finished, strict=True):
         if result is None and output is not None and job.stores_simulations:
@@ -190,14 +198,18 @@ def run_jobs(jobs: Sequence[Job], output: Path | None, *, overwrite: bool = Fals
     return results
 
 
-def _claim_folder_for_jobs(jobs: Sequence[Job], output: Path, *, overwrite: bool) -> None:
-    """Check the output folder, remove earlier results and write ``work.json``; errors are `InputError`."""
+def _list_folder_contents(jobs: Sequence[Job], output: Path) -> tuple[
+        Path, dict[str, str], list[Path], list[Path], list[Path]]:
+    """Return the arguments of `check_output_folder` and `remove_earlier_results_and_claim_folder`.
+
+    Returns:
+        (output folder, name of the campaign -> digest, folders of the jobs, files that the jobs may write, inputs).
+    """
     # Planned recordings have no file.
     files = {recording.file for job in jobs for recording in job.recordings if recording.file.name}
-    remove_earlier_results_and_claim_folder(
-        output, {job.campaign.name: job.digest for job in jobs}, [job.folder for job in jobs],
-        [path for job in jobs for path in job.list_possible_files()],
-        [*(job.campaign.path for job in jobs), *files, *(path.with_suffix(".json") for path in files)], overwrite)
+    return (output, {job.campaign.name: job.digest for job in jobs}, [job.folder for job in jobs],
+            [path for job in jobs for path in job.list_possible_files()],
+            [*(job.campaign.path for job in jobs), *files, *(path.with_suffix(".json") for path in files)])
 
 
 @cache

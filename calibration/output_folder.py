@@ -66,13 +66,9 @@ def list_possible_design_result_paths(campaign: Campaign, folder: Path) -> list[
             folder / DESIGN_FILE]
 
 
-def remove_earlier_results_and_claim_folder(
-        output: Path, digests: Mapping[str, str], folders: Sequence[Path], files: Sequence[Path],
-        inputs: Sequence[Path], overwrite: bool) -> None:
-    """Prepare the output folder for jobs: check it, remove earlier results, and write ``work.json``.
-
-    Results of the same jobs stay. Files of an earlier run are removed if ``work.json`` lists them; other files are not
-    changed.
+def check_output_folder(output: Path, digests: Mapping[str, str], folders: Sequence[Path], files: Sequence[Path],
+                        inputs: Sequence[Path], overwrite: bool) -> None:
+    """Check that jobs may write to the output folder; nothing is written.
 
     Args:
         output: folder of all results.
@@ -84,35 +80,63 @@ def remove_earlier_results_and_claim_folder(
 
     Raises:
         InputError: `output` is a file, contains other results, or contains a file of another origin with the name of a
-            result; nothing is changed.
+            result.
     """
     if output.exists() and not output.is_dir():
         raise InputError("the output must be a folder, but this is a file; choose another path", file=output)
-    planned = [*files, output / CLAIM_FILE, *([output / SUMMARY_FILE] if len(folders) > 1 else [])]
+    planned = _list_planned_files(output, folders, files)
     for folder in folders:
         if (folder / SOLVES).exists() and not (folder / SOLVES).is_dir():
             raise InputError("the path of the folder for simulations must not be a file; move or rename this file",
                              file=folder / SOLVES)
     _require_inputs_not_replaced(planned, inputs)
-    unfinished = _list_unfinished_temporary_files(folders, planned)
     found = _read_valid_claim_or_empty(output)
-    if not overwrite and output.exists() and set(output.iterdir()) - {*unfinished}:
+    if not overwrite and _has_results(output, folders, planned):
         if found.get("campaigns") != digests:
             content = _describe_other_results(output, found) if found else "other files"
             raise InputError(f"the output folder must be empty or contain results of the same campaigns; it contains "
                              f"{content}. Choose an empty folder or add --overwrite", file=output)
-        _remove_files_and_empty_folders(unfinished, output)
         return
     earlier = [output / name for name in found.get("files", ())]
     for path in planned:
         if path.exists() and path not in earlier:
             raise InputError("a result would replace this file, which was not written by an earlier run in this "
                              "folder; move the file or choose another folder", file=path)
+
+
+def remove_earlier_results_and_claim_folder(
+        output: Path, digests: Mapping[str, str], folders: Sequence[Path], files: Sequence[Path],
+        inputs: Sequence[Path], overwrite: bool) -> None:
+    """Prepare the output folder for jobs: check it, remove earlier results, and write ``work.json``.
+
+    Results of the same jobs stay. Files of an earlier run are removed if ``work.json`` lists them; other files are not
+    changed. For the arguments see `check_output_folder`.
+
+    Raises:
+        InputError: see `check_output_folder`; nothing is changed.
+    """
+    check_output_folder(output, digests, folders, files, inputs, overwrite)
+    planned = _list_planned_files(output, folders, files)
+    unfinished = _list_unfinished_temporary_files(folders, planned)
+    if not overwrite and _has_results(output, folders, planned):
+        _remove_files_and_empty_folders(unfinished, output)
+        return
+    earlier = [output / name for name in _read_valid_claim_or_empty(output).get("files", ())]
     _remove_stored_simulations({path.parent for path in earlier})
     _remove_files_and_empty_folders([*unfinished, *earlier], output)
     claimed = {"schema": CLAIM_SCHEMA, "campaigns": dict(digests),
                "files": [path.relative_to(output).as_posix() for path in planned]}
     write_text(output / CLAIM_FILE, json.dumps(claimed, indent=2) + "\n")
+
+
+def _list_planned_files(output: Path, folders: Sequence[Path], files: Sequence[Path]) -> list[Path]:
+    """Return the paths of all files that jobs may write, with the claim and the table of several campaigns."""
+    return [*files, output / CLAIM_FILE, *([output / SUMMARY_FILE] if len(folders) > 1 else [])]
+
+
+def _has_results(output: Path, folders: Sequence[Path], planned: Sequence[Path]) -> bool:
+    """Return whether the output folder contains anything else than temporary files of an unfinished run."""
+    return output.exists() and bool({*output.iterdir()} - {*_list_unfinished_temporary_files(folders, planned)})
 
 
 def make_numbered_test_figure_name(campaign: Campaign, number: int, what: str = "test") -> str:

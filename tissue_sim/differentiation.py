@@ -77,16 +77,22 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
                   one_sided: bool = False) -> Sensitivities:
     """Simulate a test and compute the derivatives of its force.
 
-    Derivatives with respect to parameters of the material, to coefficients of friction and, in space, to the height of
-    a cylinder are exact: the equations of every converged step are differentiated implicitly, with history, slip and
-    stick anchors. The bulk response is held as the material states it: `bulk.bulk_ratio` if it is a ratio, `bulk.K_Pa`
-    if it is a modulus.
+    Derivatives with respect to parameters of the material, to coefficients of friction and, with ``solver="solid"``, to
+    the height of a cylinder are exact, with the exceptions below: the equations of every converged step are
+    differentiated implicitly, with history, slip and stick anchors. The bulk response is held as the material states
+    it: `bulk.bulk_ratio` if it is a ratio, `bulk.K_Pa` if it is a modulus.
 
     Derivatives are central differences of two simulations at the relative distance
-    `FiniteDifferenceSettings.simulation_width`, one-sided at the end of a range, in these cases: other parameters of
-    experiment, rig or mesh; a friction of zero; a compliant rig; a tilted tool or partial slip; additional effects of
-    the material; a solver without derivatives (the axisymmetric solver with self-weight, adhesion or another contact
-    law). Changes of geometry move the nodes of one mesh, so that the differences contain no jumps by remeshing.
+    `FiniteDifferenceSettings.simulation_width`, one-sided at the end of a range, in these cases:
+
+    - other parameters of experiment, rig or mesh, which include the thickness of a layer;
+    - a coefficient of friction of zero; a parameter of drainage while ``phi`` is zero;
+    - the height of a specimen with self-weight or layers, with a contact law, or of incompressible tissue;
+    - all parameters with a compliant rig, a tilted tool, partial slip or additional effects of the material;
+    - all parameters with a solver without derivatives for the test: the axisymmetric solver with self-weight, adhesion
+      or another contact law; the solid with a contact law under a plate, or on a curved top with the height as placed.
+
+    Changes of geometry move the nodes of one mesh, so that the differences contain no jumps by remeshing.
 
     Args:
         model: experiment, material, rig; forces are those on the tool, before the sensor reads them.
@@ -253,9 +259,12 @@ def _evaluate_at_both_perturbed_values(change: Callable, value: float, half: flo
     for new in (value + half, value - half):
         try:
             made.append((change(new), new))
-        except InputError:
+        except InputError as error:
+            refusal = error
             made.append((change(value), value))
     (more, high), (less, low) = made
+    if high == low:
+        raise refusal
     return more, less, high - low
 
 

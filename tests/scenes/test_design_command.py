@@ -185,7 +185,7 @@ def test_page_terminal_and_json_show_the_same_tables(tmp_path, capsys, monkeypat
     monkeypatch.setattr("calibration.campaign_design.simulate_noise_free_evidence", None)
     assert run(tmp_path, "-o", out, "--figures-format", "svg", "--json") == 0
     again = json.loads(capsys.readouterr().out)
-    assert again == {key: value for key, value in found.items() if key != "work"}
+    assert again == {key: value for key, value in found.items() if key not in ("work", "figures")}
 
 
 def test_results_of_another_design_need_overwrite(tmp_path, capsys):
@@ -202,6 +202,33 @@ def test_results_of_another_design_need_overwrite(tmp_path, capsys):
     assert run(tmp_path, "-o", out, "--overwrite") == 0
     assert (out / "design.json").read_bytes() != first
     assert (out / "notes.txt").read_text(encoding="utf-8") == "mine"
+
+
+def test_the_folder_is_checked_before_the_simulations(tmp_path, capsys, monkeypatch):
+    write(tmp_path)
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "notes.txt").write_text("mine", encoding="utf-8")
+    # A simulation would call this function.
+    monkeypatch.setattr("calibration.campaign_design.simulate_expected_recordings", None)
+    assert run(tmp_path, "-o", out) == 2
+    assert "Choose an empty folder or add --overwrite" in capsys.readouterr().err
+    assert [path.name for path in out.iterdir()] == ["notes.txt"]
+
+
+def test_figures_are_added_to_a_report_without_figures(tmp_path):
+    path, out = write(tmp_path), tmp_path / "out"
+
+    def count_pictures(**options):
+        evaluate_planned_experiments(path, samples=60, output=out, **options)
+        page = Cells()
+        page.feed((out / "report.html").read_text(encoding="utf-8"))
+        return page.pictures
+
+    assert count_pictures(figures=False) == 0
+    assert count_pictures() == 1
+    # A report with figures contains that without figures.
+    assert count_pictures(figures=False) == 1
 
 
 @pytest.mark.parametrize("words", [["--overwrite"], ["--figures-format", "png"]])

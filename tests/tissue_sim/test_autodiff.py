@@ -75,7 +75,8 @@ def test_jax_returns_force_and_derivatives_of_one_simulation(jax, expected, simu
     np.testing.assert_array_equal(force, expected.recording.force)
     np.testing.assert_array_equal(slope, expected.values[:, 1])
     np.testing.assert_array_equal(curve.exact, expected.exact)
-    assert simulated == ["sensitivities"]
+    # The first request is for the force alone.
+    assert simulated == ["simulate", "sensitivities"]
 
 
 @pytest.mark.slow
@@ -180,14 +181,21 @@ def test_torch_refuses_other_types_bounds_and_second_derivatives(torch):
         curve(torch.tensor([VALUES[0], -1.0], dtype=torch.float64, requires_grad=True))
     curve = ts.TorchForceCurve(needle(), NAMES)
     theta = torch.tensor(VALUES, requires_grad=True)
-    slope, = torch.autograd.grad((curve(theta) ** 2).sum(), theta, create_graph=True)
+    for loss in ((curve(theta) ** 2).sum(), curve(theta).sum()):
+        slope, = torch.autograd.grad(loss, theta, create_graph=True)
+        with pytest.raises(NotImplementedError, match="first derivatives only"):
+            slope.sum().backward()
     with pytest.raises(NotImplementedError, match="first derivatives only"):
-        slope.sum().backward()
+        torch.autograd.functional.hessian(lambda theta: curve(theta).sum(), torch.tensor(VALUES))
 
 
 @pytest.mark.slow
 def test_force_alone_takes_no_simulations_of_differences(simulated):
     """Parameters of the rig have no exact derivative: each Jacobian takes two further simulations."""
+    first = ForceCurve(needle(), ["rig.displacement_gain"])
+    first.compute_force(first.values)
+    assert simulated == ["simulate"]
+    simulated.clear()
     curve = ForceCurve(needle(), ["rig.displacement_gain"])
     assert not curve.exact.any() and simulated == ["sensitivities"]
     curve.compute_force(np.array([0.01]))

@@ -16,7 +16,7 @@ from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.contact import pairs
 from tissue_sim.fem.contact.pairs import RelativeContactTolerances
 from tissue_sim.fem.solid import discretisation
-from tissue_sim.fem.solver import HEIGHT_PATH
+from tissue_sim.fem.solver import FRICTION_PATHS, HEIGHT_PATH
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
@@ -281,3 +281,26 @@ def test_no_exact_derivative_without_friction_or_with_another_solver(monkeypatch
     assert exact.exact.all() and answer.exact.tolist() == [True, False, False]
     np.testing.assert_allclose(answer.values, exact.values, rtol=1e-3, atol=1e-6 * abs(exact.values).max())
     assert differentiation.sensitivities(rough, []).values.shape == (2, 0)
+
+
+def test_plugin_of_a_solver_whose_derivatives_have_no_argument_for_experiments():
+    """Such a method belongs to the contract without parameters of the experiment."""
+    class MaterialDerivatives(AxisymmetricSolver):
+        def enable_force_derivatives(self, neighbours):
+            return super().enable_force_derivatives(neighbours)
+
+    class Unchanged(AxisymmetricSolver):
+        pass
+
+    assert MaterialDerivatives.exact_experiment_parameters == frozenset()
+    assert Unchanged.exact_experiment_parameters == AxisymmetricSolver.exact_experiment_parameters == FRICTION_PATHS
+
+
+def test_a_parameter_without_valid_neighbours_has_no_derivative():
+    def change(value):
+        if value != 1.0:
+            raise ts.InputError("value must be 1")
+        return value
+
+    with pytest.raises(ts.InputError, match="value must be 1"):
+        differentiation._evaluate_at_both_perturbed_values(change, 1.0, 1e-6)

@@ -1,4 +1,4 @@
-"""Force of a test as a function of parameters, with its Jacobian matrix; the last point is kept."""
+"""Force of a test as a function of parameters, with its Jacobian matrix; the results at the last theta are cached."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ class ForceCurve:
     F is the force on the tool, before the sensor reads it. The protocol, all other parameters and the elements of the
     mesh are those of the model; geometry moves the nodes of this mesh.
 
-    One simulation gives force and Jacobian. The results at the last theta are kept, so that a second request there
-    takes no simulation. Several threads may use one curve; they wait for each other.
+    One simulation gives force and Jacobian. The curve caches force and Jacobian of the last theta. Several threads may
+    use one curve; they wait for each other.
 
     Args:
         model: experiment, material and rig.
@@ -56,7 +56,7 @@ class ForceCurve:
         self.bounds = np.array([each.declaration.bounds for each in found]).reshape(-1, 2)
         self._paths = [each.path for each in found]
         self._options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": model}
-        self._guard = threading.RLock()
+        self._lock = threading.RLock()
         self._theta: bytes | None = None
         self._force: np.ndarray | None = None
         self._answer: Sensitivities | None = None
@@ -71,9 +71,10 @@ class ForceCurve:
     def exact(self) -> np.ndarray:
         """Whether the derivative is exact (True) or a difference of simulations, as in `Sensitivities`, shape (m,).
 
-        Before the first Jacobian, reading this attribute simulates the test at `values`.
+        It belongs to the last Jacobian and may change with theta: at a coefficient of friction of 0 the derivative is
+        a difference. Before the first Jacobian, reading this attribute computes the Jacobian at `values`.
         """
-        with self._guard:
+        with self._lock:
             if self._exact is None:
                 self.compute_force_and_jacobian(self.values)
             assert self._exact is not None
@@ -82,7 +83,8 @@ class ForceCurve:
     def compute_force(self, theta: np.ndarray) -> np.ndarray:
         """Return the force, N, shape (n,).
 
-        If all derivatives are exact the Jacobian is computed and kept too, because it adds little time.
+        If all derivatives of the last Jacobian are exact, the Jacobian is computed and cached too, because exact
+        derivatives add little time. Otherwise, and before the first Jacobian, only the model itself is simulated.
 
         Args:
             theta: values of the parameters, SI, float64, shape (m,).
@@ -92,10 +94,10 @@ class ForceCurve:
             InputError: a value outside its bounds, or theta of another type or shape.
         """
         theta = self._check_parameter_values(theta)
-        with self._guard:
+        with self._lock:
             if self._theta == theta.tobytes() and self._force is not None:
                 return self._force.copy()
-            if self._exact is None or self._exact.all():
+            if self._exact is not None and self._exact.all():
                 return self.compute_force_and_jacobian(theta)[0]
             model = self._make_model(theta)
             force = simulate(model, estimate_error=False, **self._options).force
@@ -115,7 +117,7 @@ class ForceCurve:
         Source: `tissue_sim.sensitivities`.
         """
         theta = self._check_parameter_values(theta)
-        with self._guard:
+        with self._lock:
             if self._theta != theta.tobytes() or self._answer is None:
                 answer = sensitivities(self._make_model(theta), self._paths, **self._options)
                 self._theta, self._force, self._answer = theta.tobytes(), answer.recording.force, answer
@@ -124,7 +126,7 @@ class ForceCurve:
             return self._force.copy(), self._answer.values.copy()
 
     def _make_model(self, theta: np.ndarray) -> Model:
-        """Return the model with other parameters, as the tool feels it: without the sensor of the rig."""
+        """Return the model with other parameter values and without the sensor effects of the rig."""
         changed = with_values(self.model, dict(zip(self._paths, theta.tolist(), strict=True)))
         return Model(changed.experiment, changed.material, changed.rig.with_motion_effects_only)
 
@@ -136,8 +138,8 @@ class ForceCurve:
                              f"{theta.shape}.")
         for name, value, (low, high) in zip(self.names, theta.tolist(), self.bounds.tolist(), strict=True):
             if not low <= value <= high:
-                raise InputError(f"must be between {low:g} and {high:g}; got {value:g}. Keep the optimiser within the "
-                                 "bounds of the parameter, for example by its logarithm.", field=name)
+                raise InputError(f"must be between {low:g} and {high:g}; got {value:g}. Use an optimiser with bounds.",
+                                 field=name)
         return theta
 
 

@@ -70,20 +70,25 @@ def _make_force_function() -> Any:
             values = theta.detach().cpu().numpy()
             if needs_gradient:
                 force, jacobian = curve.compute_force_and_jacobian(values)
-                ctx.save_for_backward(torch.from_numpy(jacobian).to(theta.device))
+                ctx.save_for_backward(theta, torch.from_numpy(jacobian).to(theta.device))
             else:
                 force = curve.compute_force(values)
             return torch.from_numpy(force).to(theta.device)
 
         @staticmethod
         def backward(ctx: Any, weights: Any) -> Any:
-            return ForceGradient.apply(weights, *ctx.saved_tensors), None, None
+            theta, jacobian = ctx.saved_tensors
+            return ForceGradient.apply(weights, jacobian, theta), None, None
 
     class ForceGradient(base):
-        """Gradient of a weighted sum of the forces."""
+        """Gradient of a weighted sum of the forces.
+
+        The argument theta makes the gradient depend on theta in the graph. Otherwise, the second derivative of a loss
+        that is linear in the force would be zero, without an error.
+        """
 
         @staticmethod
-        def forward(ctx: Any, weights: Any, jacobian: Any) -> Any:
+        def forward(ctx: Any, weights: Any, jacobian: Any, theta: Any) -> Any:
             return weights @ jacobian
 
         @staticmethod

@@ -12,6 +12,7 @@ stepped.
 from __future__ import annotations
 
 import hashlib
+import inspect
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
@@ -298,10 +299,10 @@ class ExperimentDerivatives(NamedTuple):
     """Derivatives of inputs from the experiment with respect to a parameter, 1 per unit of the parameter.
 
     Attributes:
-        face: of the coefficient of friction of the tool's face.
-        shaft: of the coefficient of friction of the tool's shaft.
-        base: of the coefficient of friction of the base.
-        log_height: of the logarithm of the height of the specimen, whose mesh is stretched uniformly.
+        face: derivative of the coefficient of friction of the tool's face.
+        shaft: derivative of the coefficient of friction of the tool's shaft.
+        base: derivative of the coefficient of friction of the base.
+        log_height: derivative of the logarithm of the height of the specimen, whose mesh is stretched uniformly.
     """
 
     face: float = 0.0
@@ -314,6 +315,12 @@ class ExperimentDerivatives(NamedTuple):
 FRICTION_PATHS = frozenset(f"experiment.{name}" for name in ("friction", "friction_base", "friction_wall"))
 #: Path of the height of the specimen.
 HEIGHT_PATH = "experiment.specimen.height"
+
+
+def _has_argument(function: Callable, name: str) -> bool:
+    """Return whether a function has an argument of a name, or any number of positional arguments."""
+    arguments = inspect.signature(function).parameters
+    return name in arguments or any(each.kind is each.VAR_POSITIONAL for each in arguments.values())
 
 
 @with_old_names(**_OLD_MEMBERS)
@@ -332,12 +339,15 @@ class Solver(ToolInAirInterface, ABC):
     #: Highest order of extrapolation that `step` implements.
     highest_order: ClassVar[int] = 2
     #: Paths of the parameters of the experiment with exact derivatives, for which `enable_force_derivatives` has the
-    #: argument `experiments`.
+    #: argument `experiments`. A subclass whose method lacks this argument inherits none.
     exact_experiment_parameters: ClassVar[frozenset[str]] = frozenset()
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
         rename_old_members_of_subclass(cls, _OLD_MEMBERS)
+        if "exact_experiment_parameters" not in vars(cls) and not _has_argument(cls.enable_force_derivatives,
+                                                                                "experiments"):
+            cls.exact_experiment_parameters = frozenset()
 
     @property
     @abstractmethod

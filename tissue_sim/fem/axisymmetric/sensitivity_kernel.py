@@ -270,10 +270,10 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
             for i in range(state.residual.shape[0]):
                 state.residual[i] = rates.forces[k, i]
                 pushing += ti.abs(rates.forces[k, i])
-            rubbing = 0.0
+            friction_force_sum = 0.0
             for c in range(counts[StepIntegerIndex.CONTACTS]):
-                rubbing += ti.abs(rates.friction_force_rates[k, c])
-            pushing += rubbing
+                friction_force_sum += ti.abs(rates.friction_force_rates[k, c])
+            pushing += friction_force_sum
             if ti.static(not remembers):
                 if refines == 1 and round > 0:
                     for b in range(batches):
@@ -285,8 +285,8 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
             for c in range(counts[StepIntegerIndex.CONTACTS]):
                 fr, fz = compute_contact_force_derivative(c, k, goes_on * rates.point_rates[k, c, 0],
                                                           goes_on * rates.point_rates[k, c, 1], surface, rates)
-                if rubbing > 0.0:
-                    # The forces that balance those of friction are larger, and so are their rounding errors.
+                if friction_force_sum > 0.0:
+                    # Forces that balance friction are larger than the friction, and so are their rounding errors.
                     pushing += ti.abs(fr) + ti.abs(fz)
                 for a in range(surface.shapes.shape[1]):
                     ir, iz = state.equation[2 * surface.nodes[c, a]], state.equation[2 * surface.nodes[c, a] + 1]
@@ -295,9 +295,10 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
             for i in range(free):
                 missing += ti.abs(state.residual[i])
             slow = refines == 1 and round > 1 and not missing <= DIFFERENTIATION.stall_ratio * before_last
-            stalled = DIFFERENTIATION.friction_tolerance if rubbing > 0.0 else DIFFERENTIATION.contact_tolerance
+            stall_tolerance = (DIFFERENTIATION.friction_tolerance if friction_force_sum > 0.0 else
+                               DIFFERENTIATION.contact_tolerance)
             if refines == 1 and (missing <= DIFFERENTIATION.residual_tolerance * pushing
-                                 or (slow and missing <= stalled * pushing)):
+                                 or (slow and missing <= stall_tolerance * pushing)):
                 for dof in range(state.equation.shape[0]):
                     rates.motion[dof] = 0.0
                 which[SensitivityControlIndex.SETTLED] = 1
