@@ -52,8 +52,12 @@ class TissueClient:
         self._timeout, self._polls, self._sequence = timeout, polls, 0
         self.session = secrets.randbits(64) | 1 if session is None else session
         self._socket = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.settimeout(timeout)
-        self._socket.connect((host, port))
+        try:
+            self._socket.settimeout(timeout)
+            self._socket.connect((host, port))
+        except BaseException:
+            self._socket.close()
+            raise
 
     def step(self, pose: Pose | float, at: float | None = None, *, reset: bool = False) -> Reply:
         """Send a pose, and wait for the reply with the force.
