@@ -422,7 +422,7 @@ class TestFile:
             made.append(len(poses))
             return simulate(solver, poses, **more)
 
-        for module in ("training", "verification"):
+        for module in ("training", "reduction"):
             monkeypatch.setattr(f"tissue_sim.fem.reduced.{module}.simulate_snapshots", counted)
         again = reduce_solid(held.model, held.box, **options)
         along, tried_along = 2, 2
