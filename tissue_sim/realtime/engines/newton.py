@@ -7,7 +7,7 @@ the CPU.
 from __future__ import annotations
 
 import operator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.realtime.tool_coupling import BodyWrench, CouplingLimits, CouplingState, RigidBodyState, ToolCoupling
 from tissue_sim.tool_force import Tissue
-
-if TYPE_CHECKING:
-    import newton
 
 
 class NewtonTissue:
@@ -30,7 +27,7 @@ class NewtonTissue:
     Call ``State.clear_forces()`` and then `apply` before each step of the solver.
 
     Args:
-        model: finalised model.
+        model: finalised `newton.Model`.
         body: label of the body that carries the tool, or its number.
         tissue: `Simulator` or other `Tissue`.
         scene: pose in the world of the centre of the undeformed top of the tissue, z axis out of the tissue; Newton's
@@ -47,7 +44,7 @@ class NewtonTissue:
         InputError: an unknown body, or a label of several bodies.
     """
 
-    def __init__(self, model: newton.Model, *, body: str | int, tissue: Tissue, scene: Pose | None = None,
+    def __init__(self, model: Any, *, body: str | int, tissue: Tissue, scene: Pose | None = None,
                  tip: Pose | None = None, limits: CouplingLimits | None = None, real_time: bool = False):
         self._body = _find_body(model, body)
         self._center = model.body_com.numpy()[self._body].astype(float)
@@ -62,11 +59,11 @@ class NewtonTissue:
         self.coupling.warm_up()
         self.time = 0.0
 
-    def apply(self, state: newton.State, dt: float) -> BodyWrench:
+    def apply(self, state: Any, dt: float) -> BodyWrench:
         """Compute the wrench for a state, add it to ``state.body_f``, and return it.
 
         Args:
-            state: state at the start of the next step of the solver.
+            state: `newton.State` at the start of the next step of the solver.
             dt: length of the next step, s.
         """
         x, y, z, i, j, k, w = state.body_q.numpy()[self._body].astype(float)
