@@ -69,7 +69,7 @@ def test_a_press_comes_to_rest_at_the_static_equilibrium(simulator, mass, servo,
 
 
 def test_a_torque_is_about_the_centre_of_mass(simulator):
-    """A free body above the tissue, tip 20 mm beside the centre of mass: force and its moment act, nothing else."""
+    """The centre of mass is 20 mm from the line of the force: the torque is the moment of the force about it."""
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
     builder.add_body(mass=0.1, com=wp.vec3(0.02, 0.0, 0.05), label="tools/needle", lock_inertia=True,
                      inertia=wp.mat33(1e-4, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-4),

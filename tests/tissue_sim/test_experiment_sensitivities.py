@@ -174,8 +174,14 @@ def test_height_without_exact_derivative(shape, options):
     assert not differentiation._may_have_exact_derivative(model, parameters(model)[HEIGHT_PATH])
 
 
-#: Radius and height of the single element, m, C10 and bulk modulus, Pa.
-RADIUS, HEIGHT, C10, BULK_MODULUS = 0.02, 0.02, 1000.0, 2e4
+#: Radius of the single element, m; as large as its height, so that the element is square.
+RADIUS = 0.02
+#: Height of the single element, m.
+HEIGHT = 0.02
+#: C10 of its neo-Hookean law, Pa, as soft as tissue.
+C10 = 1000.0
+#: Its bulk modulus, Pa, ten times the shear modulus, so that Newton's method in the test converges quickly.
+BULK_MODULUS = 2e4
 
 
 def nodal_forces(displacement):
@@ -221,6 +227,7 @@ def force_between_rubbing_plates(depth, mu, mu_base):
     return -residual_and_forces(slip)[1][2:, 1].sum()
 
 
+@pytest.mark.slow
 def test_one_element_against_a_complex_step():
     """The derivative is the imaginary part of the force with the coefficient mu + i h, divided by h."""
     depths, h = (1e-3, 2e-3), 1e-20
@@ -236,6 +243,7 @@ def test_one_element_against_a_complex_step():
          for step, other in ((h, 0.0), (0.0, h))] for depth in depths], rtol=1e-8)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("most", [4, 0], ids=["factor of the step", "exact tangent"])
 def test_both_linear_solutions(most, monkeypatch):
     """Friction and material together, with the step's last factor and with that of the exact tangent."""
