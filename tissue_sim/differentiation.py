@@ -13,7 +13,7 @@ from tissue_sim.experiment.experiment import Approach
 from tissue_sim.fem.contact.pairs import differentiate_friction_coefficients
 from tissue_sim.fem.solver import (
     FRICTION_PATHS,
-    HEIGHT_PATH,
+    SOLVERS,
     ExperimentDerivatives,
     ForceDerivatives,
     ForceVectorDerivatives,
@@ -26,7 +26,6 @@ from tissue_sim.model import Model
 from tissue_sim.parameters import Parameter, get_parameter_value, get_parameters_at_paths, parameters, with_values
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
-from tissue_sim.specimen.cylinder import Cylinder
 
 
 @dataclass(frozen=True)
@@ -35,14 +34,14 @@ class FiniteDifferenceSettings:
 
     Attributes:
         formula_width: width of differences of formulas within the exact method, 1.
-        height_width: the same for the height of the specimen. In nearly incompressible tissue the error of a difference
-            increases with K/mu times the square of its width.
+        geometry_width: the same for sizes of specimen and tool. The difference is that of the residual forces of two
+            meshes at equal displacements, whose rounding errors are those of K times the volume change.
         simulation_width: width of differences of whole simulations, 1. A larger width is less sensitive to the
             tolerance of the solver, and less accurate where the force is nonlinear in the parameter.
     """
 
     formula_width: float = 1e-6
-    height_width: float = 2e-7
+    geometry_width: float = 1e-5
     simulation_width: float = 1e-3
 
 
@@ -115,13 +114,13 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     asked = get_parameters_at_paths(model, names)
     model = replace(model, rig=model.rig.with_motion_effects_only)
     own = {f"material.{path}" for path in of_material}
-    exact = np.array([(parameter.path in own or parameter.path in FRICTION_PATHS or parameter.path == HEIGHT_PATH)
+    exact = np.array([(parameter.path in own or parameter.path in FRICTION_PATHS or parameter.declaration.shapes_mesh)
                       and _may_have_exact_derivative(model, parameter) for parameter in asked], dtype=bool)
     options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": topology or model,
                "estimate_error": False}
     directions = [_make_parameter_direction(model, parameter)
                   for parameter, one in zip(asked, exact, strict=True) if one]
-    watch = _DerivativeObserver(directions, model.experiment.approach)
+    watch = _DerivativeObserver(directions, model.experiment.approach, options)
     recording = simulate(model, watch=watch, **options)
     exact[exact] = watch.exact
     values = np.zeros((len(watch.rates), len(names)))
@@ -143,11 +142,33 @@ class _ParameterDirection:
         path: path of the parameter.
         materials: material with the parameter increased, material with it decreased, and the difference.
         experiment: derivatives of the inputs from the experiment; None: zero.
+        models: models with the parameter increased and decreased, for a parameter of the geometry; else None.
     """
 
     path: str
     materials: tuple[Material, Material, float]
     experiment: ExperimentDerivatives | None
+    models: tuple[Model, Model] | None = None
+
+    def is_exact(self, solver: Solver) -> bool:
+        """Return whether a solver has an exact derivative with respect to the parameter."""
+        if self.models is not None:
+            return solver.differentiates_geometry
+        return self.experiment is None or self.path in solver.exact_experiment_parameters
+
+    def make_experiment_derivatives(self, options: dict[str, Any]) -> ExperimentDerivatives:
+        """Return the derivatives of the inputs from the experiment.
+
+        Args:
+            options: arguments of `simulate`, which determine the mesh of the neighbouring solvers.
+        """
+        found = self.experiment or ExperimentDerivatives()
+        if self.models is None:
+            return found
+        make = SOLVERS.find(options["solver"], "solver")
+        more, less = (make(model, **{name: options[name] for name in ("resolution", "mesh", "topology")})
+                      for model in self.models)
+        return found._replace(neighbour_solvers=(more, less))
 
 
 class _DerivativeObserver:
@@ -159,8 +180,8 @@ class _DerivativeObserver:
         exact: whether the solver has an exact derivative with respect to each parameter, shape (directions,).
     """
 
-    def __init__(self, directions: list[_ParameterDirection], approach: Approach | None):
-        self._directions, self._approach = directions, approach
+    def __init__(self, directions: list[_ParameterDirection], approach: Approach | None, options: dict[str, Any]):
+        self._directions, self._approach, self._options = directions, approach, options
         self._derivatives: ForceDerivatives | None = None
         self.rates: list[np.ndarray] = []
         self.kinks: list[bool] = []
@@ -168,8 +189,7 @@ class _DerivativeObserver:
 
     def before_first_step(self, solver: Solver) -> None:
         """Request derivatives before the first step."""
-        exact = np.array([each.experiment is None or each.path in solver.exact_experiment_parameters
-                          for each in self._directions], dtype=bool)
+        exact = np.array([each.is_exact(solver) for each in self._directions], dtype=bool)
         chosen = [each for each, one in zip(self._directions, exact, strict=True) if one]
         derivatives = self._request_derivatives(solver, chosen)
         if derivatives is not None and self._approach is not None and not isinstance(derivatives,
@@ -182,14 +202,13 @@ class _DerivativeObserver:
             derivatives = self._request_derivatives(solver, [])
         self._derivatives = derivatives
 
-    @staticmethod
-    def _request_derivatives(solver: Solver, chosen: list[_ParameterDirection]) -> ForceDerivatives | None:
+    def _request_derivatives(self, solver: Solver, chosen: list[_ParameterDirection]) -> ForceDerivatives | None:
         """Request the derivatives with respect to some parameters; None if the solver has none."""
         neighbours = [each.materials for each in chosen]
-        if all(each.experiment is None for each in chosen):
+        if all(each.experiment is None and each.models is None for each in chosen):
             return solver.enable_force_derivatives(neighbours)
-        return solver.enable_force_derivatives(neighbours,
-                                               [each.experiment or ExperimentDerivatives() for each in chosen])
+        return solver.enable_force_derivatives(neighbours, [each.make_experiment_derivatives(self._options)
+                                                            for each in chosen])
 
     def after_sample(self, solver: Solver, factor: float) -> None:
         """Append the derivatives of the present sample to `rates`, and to `kinks` whether the contact changed.
@@ -214,14 +233,9 @@ def _may_have_exact_derivative(model: Model, parameter: Parameter) -> bool:
     added = [effect for effect in model.material.effects.values() if not isinstance(effect, ForceScalingEffect)]
     if issubclass(parameter.part, TissueEffect) or added:
         return False
-    if parameter.path == HEIGHT_PATH:
-        # The undeformed mesh is stretched uniformly. Weight, layers, areas of contact laws and the finite K/mu0 of
-        # incompressible tissue would add other terms.
-        specimen, tissues = model.experiment.specimen, (model.material, *model.material.regions.values())
-        return (isinstance(specimen, Cylinder) and not specimen.specific_weight and not model.material.layers
-                and not model.experiment.acting_laws and all(np.isfinite(each.bulk_modulus) for each in tissues))
     if parameter.declaration.shapes_mesh:
-        return False
+        # A size that is zero may change the kind of the outline; the position of an off-axis tool changes the motion.
+        return parameter.value > 0.0 and not parameter.path.startswith("experiment.approach.")
     if parameter.path in FRICTION_PATHS:
         # Without friction the contact has no slipping points, which appear with a change of the coefficient.
         return parameter.value > 0.0
@@ -232,15 +246,15 @@ def _may_have_exact_derivative(model: Model, parameter: Parameter) -> bool:
 
 def _make_parameter_direction(model: Model, parameter: Parameter) -> _ParameterDirection:
     """Return material and inputs from the experiment around a parameter."""
-    width = DIFFERENCES.height_width if parameter.path == HEIGHT_PATH else DIFFERENCES.formula_width
+    width = DIFFERENCES.geometry_width if parameter.declaration.shapes_mesh else DIFFERENCES.formula_width
     half = 0.5 * width * (abs(parameter.value) or 1.0)
     more, less, width = _evaluate_at_both_perturbed_values(lambda new: with_values(model, {parameter.path: new}),
                                                            parameter.value, half)
     experiment = None
     if parameter.path in FRICTION_PATHS:
         experiment = differentiate_friction_coefficients(more.experiment, less.experiment, width)
-    elif parameter.path == HEIGHT_PATH:
-        experiment = ExperimentDerivatives(log_height=1.0 / parameter.value)
+    elif parameter.declaration.shapes_mesh:
+        return _ParameterDirection(parameter.path, (model.material, model.material, width), None, (more, less))
     return _ParameterDirection(parameter.path, (more.material, less.material, width), experiment)
 
 

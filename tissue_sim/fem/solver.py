@@ -302,19 +302,19 @@ class ExperimentDerivatives(NamedTuple):
         face: derivative of the coefficient of friction of the tool's face.
         shaft: derivative of the coefficient of friction of the tool's shaft.
         base: derivative of the coefficient of friction of the base.
-        log_height: derivative of the logarithm of the height of the specimen, whose mesh is stretched uniformly.
+        neighbour_solvers: for a parameter of the geometry, the solvers of the models with the parameter increased and
+            decreased, before their first step, on the same elements with moved nodes; None: the geometry is constant.
+            The difference of the two values is that of `Neighbours`.
     """
 
     face: float = 0.0
     shaft: float = 0.0
     base: float = 0.0
-    log_height: float = 0.0
+    neighbour_solvers: tuple[Any, Any] | None = None
 
 
 #: Paths of the coefficients of friction.
 FRICTION_PATHS = frozenset(f"experiment.{name}" for name in ("friction", "friction_base", "friction_wall"))
-#: Path of the height of the specimen.
-HEIGHT_PATH = "experiment.specimen.height"
 
 
 def _has_argument(function: Callable, name: str) -> bool:
@@ -348,6 +348,14 @@ class Solver(ToolInAirInterface, ABC):
         if "exact_experiment_parameters" not in vars(cls) and not _has_argument(cls.enable_force_derivatives,
                                                                                 "experiments"):
             cls.exact_experiment_parameters = frozenset()
+
+    @property
+    def differentiates_geometry(self) -> bool:
+        """Whether `enable_force_derivatives` has derivatives with respect to parameters of the geometry.
+
+        The solver then uses `ExperimentDerivatives.neighbour_solvers`.
+        """
+        return False
 
     @property
     @abstractmethod
@@ -484,7 +492,7 @@ class Solver(ToolInAirInterface, ABC):
         Args:
             neighbours: materials around each parameter.
             experiments: derivatives of the inputs from the experiment with respect to each parameter; None: zero. Given
-                only for parameters of `exact_experiment_parameters`.
+                only for parameters of `exact_experiment_parameters`, and of the geometry if `differentiates_geometry`.
         """
         return None
 

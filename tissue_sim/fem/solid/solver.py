@@ -21,7 +21,6 @@ from tissue_sim.fem.solid.touch import FirstTouchHeightAndSolverMaker
 from tissue_sim.fem.solver import (
     AT_REST,
     FRICTION_PATHS,
-    HEIGHT_PATH,
     ExperimentDerivatives,
     Neighbours,
     Solver,
@@ -130,7 +129,7 @@ class SolidSolver(KernelOwner, Solver):
 
     highest_order = 0
     ignores_twist = True
-    exact_experiment_parameters = FRICTION_PATHS | {HEIGHT_PATH}
+    exact_experiment_parameters = FRICTION_PATHS
 
     def __init__(self, mesh: SolidMesh, material: Material, fixed: dict[str, str], bonded: np.ndarray, *,
                  start_rates: StartDifferentiation | None = None, **others: Any):
@@ -328,14 +327,11 @@ class SolidSolver(KernelOwner, Solver):
 
     def enable_force_derivatives(self, neighbours: Neighbours,
                                  experiments: Sequence[ExperimentDerivatives] | None = None) -> SolidSensitivity | None:
-        """See `Solver.enable_force_derivatives`; None with point effects, and for the height with self-weight."""
-        stretch = np.array([each.log_height for each in experiments or ()])
+        """See `Solver.enable_force_derivatives`; None with point effects."""
         begins = self._start_rates if neighbours else None
         start = None if begins is None else begins(neighbours, experiments)
-        if self.tissue.effects or (begins is not None and (start is None or stretch.any())):
+        if self.tissue.effects or (begins is not None and start is None):
             return None
-        if stretch.any():
-            start = FirstTouchDerivatives.from_undeformed_specimen(stretch)
         saved = self.save()
         self._derivatives = SolidSensitivity.from_perturbed_materials(self.equations, neighbours, experiments)
         self.restore(saved)
