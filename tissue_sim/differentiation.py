@@ -34,14 +34,11 @@ class FiniteDifferenceSettings:
 
     Attributes:
         formula_width: width of differences of formulas within the exact method, 1.
-        geometry_width: the same for sizes of specimen and tool. The difference is that of the residual forces of two
-            meshes at equal displacements, whose rounding errors are those of K times the volume change.
         simulation_width: width of differences of whole simulations, 1. A larger width is less sensitive to the
             tolerance of the solver, and less accurate where the force is nonlinear in the parameter.
     """
 
     formula_width: float = 1e-6
-    geometry_width: float = 1e-5
     simulation_width: float = 1e-3
 
 
@@ -120,7 +117,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
                "estimate_error": False}
     directions = [_make_parameter_direction(model, parameter)
                   for parameter, one in zip(asked, exact, strict=True) if one]
-    watch = _DerivativeObserver(directions, model.experiment.approach, options)
+    watch = _DerivativeObserver(directions, model, options)
     recording = simulate(model, watch=watch, **options)
     exact[exact] = watch.exact
     values = np.zeros((len(watch.rates), len(names)))
@@ -156,18 +153,16 @@ class _ParameterDirection:
             return solver.differentiates_geometry
         return self.experiment is None or self.path in solver.exact_experiment_parameters
 
-    def make_experiment_derivatives(self, options: dict[str, Any]) -> ExperimentDerivatives:
+    def make_experiment_derivatives(self, make_solver: Callable[[Model], Solver]) -> ExperimentDerivatives:
         """Return the derivatives of the inputs from the experiment.
 
         Args:
-            options: arguments of `simulate`, which determine the mesh of the neighbouring solvers.
+            make_solver: makes the solver of a model with other sizes, on the same elements.
         """
         found = self.experiment or ExperimentDerivatives()
         if self.models is None:
             return found
-        make = SOLVERS.find(options["solver"], "solver")
-        more, less = (make(model, **{name: options[name] for name in ("resolution", "mesh", "topology")})
-                      for model in self.models)
+        more, less = map(make_solver, self.models)
         return found._replace(neighbour_solvers=(more, less))
 
 
@@ -180,8 +175,9 @@ class _DerivativeObserver:
         exact: whether the solver has an exact derivative with respect to each parameter, shape (directions,).
     """
 
-    def __init__(self, directions: list[_ParameterDirection], approach: Approach | None, options: dict[str, Any]):
-        self._directions, self._approach, self._options = directions, approach, options
+    def __init__(self, directions: list[_ParameterDirection], model: Model, options: dict[str, Any]):
+        self._directions, self._model, self._approach = directions, model, model.experiment.approach
+        self._options = {name: options[name] for name in ("solver", "resolution")}
         self._derivatives: ForceDerivatives | None = None
         self.rates: list[np.ndarray] = []
         self.kinks: list[bool] = []
@@ -207,7 +203,13 @@ class _DerivativeObserver:
         neighbours = [each.materials for each in chosen]
         if all(each.experiment is None and each.models is None for each in chosen):
             return solver.enable_force_derivatives(neighbours)
-        return solver.enable_force_derivatives(neighbours, [each.make_experiment_derivatives(self._options)
+
+        def make_neighbour_solver(model: Model) -> Solver:
+            """Return the solver of a model with other sizes, on the elements of `solver`."""
+            return SOLVERS.find(self._options["solver"], "solver")(
+                model, resolution=self._options["resolution"], mesh=solver.mesh, topology=self._model)
+
+        return solver.enable_force_derivatives(neighbours, [each.make_experiment_derivatives(make_neighbour_solver)
                                                             for each in chosen])
 
     def after_sample(self, solver: Solver, factor: float) -> None:
@@ -246,8 +248,7 @@ def _may_have_exact_derivative(model: Model, parameter: Parameter) -> bool:
 
 def _make_parameter_direction(model: Model, parameter: Parameter) -> _ParameterDirection:
     """Return material and inputs from the experiment around a parameter."""
-    width = DIFFERENCES.geometry_width if parameter.declaration.shapes_mesh else DIFFERENCES.formula_width
-    half = 0.5 * width * (abs(parameter.value) or 1.0)
+    half = 0.5 * DIFFERENCES.formula_width * (abs(parameter.value) or 1.0)
     more, less, width = _evaluate_at_both_perturbed_values(lambda new: with_values(model, {parameter.path: new}),
                                                            parameter.value, half)
     experiment = None

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from force_differences import assert_exact, extrapolated_difference
 
 import tissue_sim as ts
 from tissue_sim import differentiation
@@ -16,7 +17,7 @@ from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.contact import pairs
 from tissue_sim.fem.contact.pairs import RelativeContactTolerances
 from tissue_sim.fem.solid import discretisation
-from tissue_sim.fem.solver import FRICTION_PATHS, HEIGHT_PATH
+from tissue_sim.fem.solver import FRICTION_PATHS
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
@@ -24,9 +25,8 @@ from tissue_sim.mesh.solid_element import HEX8P0
 from tissue_sim.parameters import get_parameter_value, parameters, with_values
 
 PRONY = ts.Prony((ts.PronyTerm(0.3, 2.0),), "long_term")
-#: Widths of the central differences, relative to the coefficient.
-WIDTHS = (4e-3, 2e-3, 1e-3)
 FACES = ("experiment.friction", "experiment.friction_base")
+SIZES = ("experiment.specimen.radius", "experiment.specimen.height")
 
 
 @pytest.fixture(autouse=True)
@@ -44,52 +44,6 @@ def material(bulk=None, **options):
 def experiment(text="ramp 5mm", points=6, **options):
     specimen = options.pop("specimen", ts.Specimen(0.040, 0.070))
     return ts.Experiment(specimen, ts.Protocol.parse(text, points), **options)
-
-
-class ContactFlags:
-    """Store the contact state of all points at every sample."""
-
-    def before_first_step(self, solver):
-        self.seen = []
-
-    def after_sample(self, solver, factor):
-        if isinstance(solver, AxisymmetricSolver):
-            surface = solver.equations.surface
-            # A point that just touches has a force of rounding, or none.
-            presses = abs(surface.forces).max(axis=-1) > 1e-9 * abs(surface.forces).max(initial=0.0)
-            self.seen.append(presses.tobytes() + surface.slip_signs.tobytes())
-        else:
-            self.seen.append(solver.contact.state.discrete_contact_flags.tobytes())
-
-
-def extrapolated_difference(model, path, **options):
-    """Richardson extrapolation of central differences of three widths, up to the last sample with equal contact."""
-    value, runs, slopes = get_parameter_value(model, path), [], []
-    for width in WIDTHS:
-        forces = []
-        for factor in (1.0 + width, 1.0 - width):
-            flags = ContactFlags()
-            changed = with_values(model, {path: value * factor})
-            forces.append(ts.simulate(changed, watch=flags, estimate_error=False, topology=model, **options).force)
-            runs.append(flags.seen)
-        slopes.append((forces[0] - forces[1]) / (2.0 * width * value))
-    shared = np.cumprod([len(set(seen)) == 1 for seen in zip(*runs, strict=True)]).sum()
-    wide, middle, narrow = slopes
-    once, again = (4.0 * middle - wide) / 3.0, (4.0 * narrow - middle) / 3.0
-    return (16.0 * again - once) / 15.0, int(shared)
-
-
-def assert_exact(model, paths, rel=1e-6, **options):
-    """Compare with differences; return the fraction of samples at which all simulations had the same contact."""
-    answer = ts.sensitivities(model, paths, **options)
-    assert answer.exact.all()
-    compared = 0
-    for k, path in enumerate(paths):
-        slope, shared = extrapolated_difference(model, path, **options)
-        assert abs(slope[:shared]).max() > 0.0, path
-        assert abs(answer.values[:shared, k] - slope[:shared]).max() < rel * abs(slope[:shared]).max(), path
-        compared += shared
-    return compared / (len(paths) * len(answer.recording))
 
 
 @pytest.mark.slow
@@ -147,14 +101,14 @@ def test_solid(shape, options, paths):
     ids=["bonded", "bonded with a Prony term", "plates", "oblique"])
 def test_height_of_a_solid(shape, options):
     model, mesh = solid_model(shape, **options)
-    assert assert_exact(model, [HEIGHT_PATH], solver="solid", mesh=mesh) == 1.0
+    assert assert_exact(model, [SIZES[1]], solver="solid", mesh=mesh) == 1.0
 
 
 @pytest.mark.slow
 def test_height_together_with_other_parameters():
     """The derivatives do not depend on the parameters that are requested with them."""
     model, mesh = solid_model("plate", friction=0.3, friction_base=0.2)
-    names = ["C10", HEIGHT_PATH, FACES[1]]
+    names = ["C10", SIZES[1], FACES[1]]
     answer = ts.sensitivities(model, names, solver="solid", mesh=mesh)
     assert answer.exact.all()
     for k, name in enumerate(names):
@@ -171,7 +125,7 @@ def test_height_together_with_other_parameters():
 def test_height_without_exact_derivative(shape, options):
     """Other terms than the stretched mesh depend on the height."""
     model, _ = solid_model(shape, way=(0.0, 0.5), **options)
-    assert not differentiation._may_have_exact_derivative(model, parameters(model)[HEIGHT_PATH])
+    assert not differentiation._may_have_exact_derivative(model, parameters(model)[SIZES[1]])
 
 
 #: Radius of the single element, m; as large as its height, so that the element is square.
@@ -184,11 +138,11 @@ C10 = 1000.0
 BULK_MODULUS = 2e4
 
 
-def nodal_forces(displacement):
+def nodal_forces(displacement, radius, height):
     """Internal forces of one axisymmetric quadrilateral with one pressure, neo-Hooke, N; complex numbers are allowed.
 
     The nodes are (0, -H), (R, -H), (R, 0), (0, 0). W = C10 (J^(-2/3) tr FF^T - 3) + K/2 (mean J - 1)^2."""
-    nodes = np.array([[0.0, -HEIGHT], [RADIUS, -HEIGHT], [RADIUS, 0.0], [0.0, 0.0]])
+    nodes = np.array([[0.0, -height], [radius, -height], [radius, 0.0], [0.0, 0.0]], complex)
     forces, points = np.zeros((4, 2), complex), []
     for xi in (-math.sqrt(1 / 3), math.sqrt(1 / 3)):
         for eta in (-math.sqrt(1 / 3), math.sqrt(1 / 3)):
@@ -211,12 +165,13 @@ def nodal_forces(displacement):
     return forces
 
 
-def force_between_rubbing_plates(depth, mu, mu_base):
+def force_between_rubbing_plates(depth, mu, mu_base, radius=RADIUS, height=HEIGHT):
     """Force of one element whose outer nodes slip outwards on both plates, by Newton's method in complex numbers."""
     slip = np.array([1e-3, 1e-3], complex)
 
     def residual_and_forces(slip):
-        forces = nodal_forces(np.array([[0.0, 0.0], [slip[0], 0.0], [slip[1], -depth], [0.0, -depth]]))
+        forces = nodal_forces(np.array([[0.0, 0.0], [slip[0], 0.0], [slip[1], -depth], [0.0, -depth]]),
+                              radius, height)
         # The base presses upwards, the plate downwards; friction is directed towards the axis.
         return np.array([forces[1, 0] + mu_base * forces[1, 1], forces[2, 0] - mu * forces[2, 1]]), forces
 
@@ -234,13 +189,14 @@ def test_one_element_against_a_complex_step():
     stated = ts.Experiment(ts.Specimen(RADIUS, HEIGHT), ts.Protocol(np.arange(3.0), np.array([0.0, *depths])),
                            friction=0.2, friction_base=0.1)
     answer = ts.sensitivities(ts.Model(stated, ts.Material("neo_hooke", {"C10": C10}, ts.Bulk("K_Pa", BULK_MODULUS))),
-                              FACES, mesh=cylinder_mesh(RADIUS, HEIGHT, (1, 1), Q4P0))
+                              [*FACES, *SIZES], mesh=cylinder_mesh(RADIUS, HEIGHT, (1, 1), Q4P0))
     assert answer.exact.all()
     np.testing.assert_allclose(answer.recording.force[1:], [force_between_rubbing_plates(depth, 0.2, 0.1).real
                                                             for depth in depths], rtol=1e-9)
+    given = np.array([0.2, 0.1, RADIUS, HEIGHT])
     np.testing.assert_allclose(answer.values[1:], [
-        [force_between_rubbing_plates(depth, 0.2 + step * 1j, 0.1 + other * 1j).imag / h
-         for step, other in ((h, 0.0), (0.0, h))] for depth in depths], rtol=1e-8)
+        [force_between_rubbing_plates(depth, *(given + step)).imag / h for step in 1j * h * np.eye(4)]
+        for depth in depths], rtol=1e-8)
 
 
 @pytest.mark.slow

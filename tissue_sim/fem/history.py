@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from copy import copy
+from dataclasses import dataclass
 from enum import IntEnum
 from itertools import chain
 from typing import Any
@@ -265,3 +267,47 @@ class MaterialMemory:
     def state_arrays(self) -> tuple[np.ndarray, ...]:
         """Arrays that define the committed state; writing saved copies into them restores the state."""
         return self.before, self.internal, self.largest, self.stresses
+
+
+@dataclass(frozen=True)
+class SofteningKinkSettings:
+    """Distances from the kink of a softening law, where the energy density of a point reaches its largest value so far.
+
+    Attributes:
+        tie: relative distance below which the energy density and its largest value are equal, 1.
+        below: relative distance below the largest value within which a difference could cross the kink, 1.
+        beyond: relative distance above the largest value within which a difference could cross the kink, 1.
+    """
+
+    tie: float = 1e-7
+    below: float = 1e-5
+    beyond: float = 1e-4
+
+
+#: Distances of all derivatives.
+_KINK = SofteningKinkSettings()
+
+
+@contextmanager
+def shift_points_from_softening_kink(memory: MaterialMemory) -> Iterator[bool]:
+    """Shift points near their largest energy density away from the kink there, for differences of the law.
+
+    Points under increasing load are treated as on first load, which changes no force; for others
+    `SofteningKinkSettings.below` of the largest value is added to it. The history is restored at the end.
+
+    Yields:
+        Whether there are such points; the forces must then be assembled again.
+    """
+    largest, more = memory.largest, memory.energies - memory.largest
+    near = (largest > 0.0) & (more >= -_KINK.below * largest) & (more <= _KINK.beyond * largest)
+    softens = memory.works and memory.past[RelaxationSofteningCoefficient.LOSS] != 0.0
+    if not (softens and near.any()):
+        yield False
+        return
+    kept = [(array, array.copy()) for array in (largest, memory.stresses, memory.energies)]
+    largest[near] = np.where(more >= -_KINK.tie * largest, 0.0, (1.0 + _KINK.below) * largest)[near]
+    try:
+        yield True
+    finally:
+        for array, before in kept:
+            array[:] = before

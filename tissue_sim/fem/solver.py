@@ -345,9 +345,10 @@ class Solver(ToolInAirInterface, ABC):
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
         rename_old_members_of_subclass(cls, _OLD_MEMBERS)
-        if "exact_experiment_parameters" not in vars(cls) and not _has_argument(cls.enable_force_derivatives,
-                                                                                "experiments"):
-            cls.exact_experiment_parameters = frozenset()
+        if not _has_argument(cls.enable_force_derivatives, "experiments"):
+            if "exact_experiment_parameters" not in vars(cls):
+                cls.exact_experiment_parameters = frozenset()
+            cls.differentiates_geometry = False
 
     @property
     def differentiates_geometry(self) -> bool:

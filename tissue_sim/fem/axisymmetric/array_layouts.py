@@ -130,12 +130,14 @@ class StartMode(IntEnum):
         FIXED_CONTACT: the present state; no point may change its contact state.
         RESUME: the state at which the last call ended.
         STIFFNESS_ONLY: as `FIXED_CONTACT`; only the stiffness of the tool is computed.
+        RESIDUAL_ONLY: as `FIXED_CONTACT`, without the tangent; interior nodes are condensed with the stored matrices.
     """
 
     PREDICT = 0
     FIXED_CONTACT = 1
     RESUME = 2
     STIFFNESS_ONLY = 3
+    RESIDUAL_ONLY = 4
 
 
 @dataclass(frozen=True)
@@ -277,7 +279,7 @@ STATE_ARRAYS = ArrayLayout(
     pull=real_array_type(),
     reaction=real_array_type())
 
-#: Derivatives with respect to the parameters of the material, and the data from which they are computed, see
+#: Derivatives with respect to the parameters, and the data from which they are computed, see
 #: `tissue_sim.fem.axisymmetric.sensitivity.MaterialSensitivity`.
 RATE_ARRAYS = ArrayLayout(
     acts=integer_array_type(), relaxes=integer_array_type(), directions=real_array_type(2),
@@ -287,5 +289,5 @@ RATE_ARRAYS = ArrayLayout(
     stress_rates=LANE_REALS, before_rates=LANE_REALS, internal_rates=LANE_REALS, recent=LANE_REALS, law=LANE_REALS,
     centre_r=LANE_REALS, centre_z=LANE_REALS, way_r=LANE_REALS, way_z=LANE_REALS, pressure_rates=LANE_REALS,
     swelling=LANE_REALS, multiplier_rates=real_array_type(3), anchor_rates=real_array_type(3),
-    point_rates=real_array_type(3), friction_force_rates=real_array_type(2),
+    point_rates=real_array_type(3), fixed_force_rates=real_array_type(3), constraint_rates=real_array_type(3),
     motion=real_array_type(), forces=real_array_type(2), dx=real_array_type(2), force_rates=real_array_type())

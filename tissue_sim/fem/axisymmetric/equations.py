@@ -289,18 +289,27 @@ class EquilibriumEquations:
             return
         remembered = [(array, array.copy()) for array in (
             self.memory.stresses, self.memory.energies, self.effects.found, self.state.x, surface.forces)]
-        self.settings[newton.StepSettingIndex.PREDICTED] = self.settings[newton.StepSettingIndex.DEPTH]
-        self.settings[newton.StepSettingIndex.TOLERANCE] = -1.0
-        self.counts[newton.StepIntegerIndex.MAX_ITERATIONS] = 0
-        self.counts[newton.StepIntegerIndex.START_MODE] = mode
         with LOCK:
-            self._kernel()
+            self.assemble_at_present_state(mode)
             launch()
-        self.counts[newton.StepIntegerIndex.START_MODE] = newton.StartMode.PREDICT
         surface.held[:] = after
         # The evaluation with the tangent has other rounding errors, which must not influence later steps.
         for array, before in remembered:
             array[:] = before
+
+    def assemble_at_present_state(self, mode: newton.StartMode = newton.StartMode.FIXED_CONTACT) -> None:
+        """Evaluate residual and tangent at `state.x` and the depth in `settings`, without a linear solution.
+
+        Args:
+            mode: contact and results of the assembly, see `newton.StartMode`.
+        """
+        index = newton.StepSettingIndex
+        self.settings[index.PREDICTED], self.settings[index.TOLERANCE] = self.settings[index.DEPTH], -1.0
+        self.settings[[index.KAPPA, index.WEIGHT]] = self.bulk_modulus, self.specific_weight
+        self.counts[newton.StepIntegerIndex.MAX_ITERATIONS] = 0
+        self.counts[newton.StepIntegerIndex.START_MODE] = mode
+        self._kernel()
+        self.counts[newton.StepIntegerIndex.START_MODE] = newton.StartMode.PREDICT
 
     def compute_static_stiffness_or_none(self) -> float | None:
         """Return the static stiffness at the last inertial equilibrium, with the contact state of that equilibrium.

@@ -115,7 +115,8 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool,
                     else:
                         state.x[dof] = state.target[dof]  # removes the rounding error of the extrapolation
             report[StepReportIndex.STATUS], report[StepReportIndex.STIFFNESS] = 0.0, 0.0
-            iterations, tangent, halvings = 0, 1, NEWTON.max_halvings
+            iterations, halvings = 0, NEWTON.max_halvings
+            tangent = 0 if counts[StepIntegerIndex.START_MODE] == StartMode.RESIDUAL_ONLY else 1
             # Mode of the pass, and first block row that must be factorised again.
             part, settled, cycles, waits, begin = EvaluatedEquations.FULL, 0, 0, 0, 0
             # Far from equilibrium the curvature of the contact surfaces would make the tangent indefinite.

@@ -1,4 +1,4 @@
-"""Exact derivatives of the force with respect to material and friction (direct differentiation), step by step."""
+"""Exact derivatives of the force with respect to material, friction and sizes, by direct differentiation."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ import numpy as np
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.array_layouts import RATE_ARRAYS, SensitivityControlIndex, StoredPointRecordOffset
 from tissue_sim.fem.axisymmetric.contact import ContactLinearisationColumn
-from tissue_sim.fem.axisymmetric.contact_kernels import HELD
+from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
 from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
 from tissue_sim.fem.axisymmetric.sensitivity_kernel import make_force_and_state_sensitivity_kernels
-from tissue_sim.fem.history import RelaxationSofteningCoefficient
+from tissue_sim.fem.axisymmetric.shape_sensitivity import ShapeDerivative, add_shape_derivatives
+from tissue_sim.fem.history import RelaxationSofteningCoefficient, shift_points_from_softening_kink
 from tissue_sim.fem.solver import ExperimentDerivatives, Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
@@ -42,7 +43,7 @@ SETTINGS = SensitivityReuseSettings()
 
 
 class MaterialSensitivity:
-    """Derivatives of a solver's state and force with respect to parameters of its material and its friction.
+    """Derivatives of a solver's state and force with respect to parameters of material, friction and geometry.
 
     In each step, R_y dy = -(R_theta + R_h dh) is solved with the exact tangent R_y; see `sensitivity_kernel`.
 
@@ -62,18 +63,27 @@ class MaterialSensitivity:
         self._equations = equations
         m, memory, surface = len(neighbours), equations.memory, equations.surface
         terms = len(memory.internal)
-        self._relaxations = [(equations.get_prony_series_for_contact_radius(up),
-                              equations.get_prony_series_for_contact_radius(down), width)
-                             for up, down, width in neighbours]
+        experiments = experiments or [ExperimentDerivatives()] * m
+        sides = [(equations, equations) if each.neighbour_solvers is None else
+                 tuple(solver.equations for solver in each.neighbour_solvers) for each in experiments]
+        #: Index of a parameter of the geometry -> derivative of the equations.
+        self._shapes = {k: ShapeDerivative(equations, sides[k], neighbours[k][2])
+                        for k, each in enumerate(experiments) if each.neighbour_solvers is not None}
+        # Drainage depends on the contact radius.
+        self._relaxations = [(more.get_prony_series_for_contact_radius(up),
+                              less.get_prony_series_for_contact_radius(down), width)
+                             for (more, less), (up, down, width) in zip(sides, neighbours, strict=True)]
         self._past_rates = allocate_array((m, len(RelaxationSofteningCoefficient)))
         self._failures = self._pause = 0
         self._stored: dict[float, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
         self._decay, self._gain = (allocate_array((terms,)) for _ in range(2))
         self._decay_rates, self._gain_rates = (allocate_array((m, terms)) for _ in range(2))
         shape = (m, *surface.springs.shape, 2)
-        self._multiplier_rates, self._anchor_rates, self._point_rates = (allocate_array(shape) for _ in range(3))
-        self._friction_force_rates = allocate_array((m, surface.springs.size))
-        frictions = np.array([each[:3] for each in experiments or [ExperimentDerivatives()] * m])
+        (self._multiplier_rates, self._anchor_rates, self._point_rates, self._fixed_force_rates,
+         self._constraint_rates) = (allocate_array(shape) for _ in range(5))
+        for k, derivative in self._shapes.items():
+            self._anchor_rates[k] = derivative.first_anchor_rates
+        frictions = np.array([each[:3] for each in experiments])
         face, shaft, base = frictions.reshape(m, 3, 1).swapaxes(0, 1)
         #: Derivatives of the friction of each point on the face and on the shaft of its body, shape (m, points).
         self._face_friction_rates, self._shaft_friction_rates = (np.where(surface.moves, at_tool, base)
@@ -84,13 +94,13 @@ class MaterialSensitivity:
         kernels = make_force_and_state_sensitivity_kernels(equations.mesh.element.name,
                                                            equations.material.energy_law.kernel_energy,
                                                            memory.works, surface.has_coulomb_friction_points)
-        arrays = {
+        self._arrays = arrays = {
             **self._differentiate_material_inputs(neighbours), **self._allocate_point_derivatives_by_name(m, terms),
             "past_rates": self._past_rates, "decay": self._decay, "gain": self._gain,
             "decay_rates": self._decay_rates, "gain_rates": self._gain_rates,
             "multiplier_rates": self._multiplier_rates, "anchor_rates": self._anchor_rates,
             "point_rates": self._point_rates, "force_rates": self.force,
-            "friction_force_rates": self._friction_force_rates,
+            "fixed_force_rates": self._fixed_force_rates, "constraint_rates": self._constraint_rates,
             "motion": allocate_array((equations.equation.size + equations.residual.size,)),
             "forces": allocate_array((m, equations.residual.size)), "dx": allocate_array((m, equations.equation.size))}
         arguments = {"which": self._which, "rate_table": RATE_ARRAYS.make_offset_table(arrays),
@@ -157,7 +167,10 @@ class MaterialSensitivity:
             self._decay[:], self._gain[:] = memory.step
             (self._past_rates[:, RelaxationSofteningCoefficient.INSTANT], self._decay_rates[:],
              self._gain_rates[:]) = self._differentiate_relaxation_increment(memory.dt)
-        if self._pause or not self._can_refine_iteratively():
+        if self._shapes:
+            with shift_points_from_softening_kink(memory):
+                self._equations.launch_on_exact_equilibrium_tangent(self._differentiate_with_factorisation)
+        elif self._pause or not self._can_refine_iteratively():
             self._pause = max(self._pause - 1, 0)
             self._equations.launch_on_exact_equilibrium_tangent(self._differentiate_with_factorisation)
         elif not self._refine_iteratively():
@@ -175,9 +188,11 @@ class MaterialSensitivity:
         surface = self._equations.surface
         column = ContactLinearisationColumn
         normals = surface.rates[:, [column.NORMAL_R, column.NORMAL_Z]]
-        limit_per_friction = np.maximum(-np.einsum("ni,ni->n", surface.forces, normals), 0.0) * surface.slip_signs
+        slips = (surface.rates[:, column.FRICTION] > 0.0) & (surface.initial[:, 0] == TOUCHED)
+        limit_per_friction = np.maximum(-np.einsum("ni,ni->n", surface.forces, normals), 0.0)
+        along = np.stack([-normals[:, 1], normals[:, 0]], axis=-1)
         rates = np.where(surface.rates[:, column.ON_SHAFT] > 0.0, self._shaft_friction_rates, self._face_friction_rates)
-        self._friction_force_rates[:] = rates * limit_per_friction
+        self._fixed_force_rates[:] = (rates * (slips * surface.slip_signs * limit_per_friction))[..., None] * along
 
     def _can_refine_iteratively(self) -> bool:
         """Whether iterative refinement with the step's factorisation is possible and cheaper than a new one."""
@@ -214,6 +229,7 @@ class MaterialSensitivity:
     def _run_kernels(self) -> None:
         """Run both kernels: force derivatives at fixed displacements, then derivatives of the state."""
         self._factorise_and_differentiate_forces()
+        add_shape_derivatives(self._shapes, self._equations, self._arrays)
         self._differentiate_state()
 
     def _differentiate_with_factorisation(self) -> None:
@@ -238,7 +254,7 @@ class MaterialSensitivity:
                                              [ContactLinearisationColumn.NORMAL_R, ContactLinearisationColumn.NORMAL_Z]]
             along = np.stack([-normals[:, 1], normals[:, 0]], axis=-1)
             slip = np.einsum("kni,ni->kn", self._point_rates[:, rebound], along)
-            self._anchor_rates[:, rebound] = slip[..., None] * along
+            self._anchor_rates[:, rebound] = slip[..., None] * along - self._constraint_rates[:, rebound]
         if not touching.all():
             self._multiplier_rates[:, ~touching] = 0.0
         contact = self._contact = np.empty_like(before)

@@ -193,10 +193,15 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
     def compute_contact_force_derivative(i, k, dr, dz, surface: ti.template(), rates: ti.template()):
         """Return the derivative of the force of point i with respect to parameter k for given (dr, dz)/dtheta_k.
 
-        The residual of the constraint is multiplied by the derivatives that the matrix contains.
+        The residual of the constraint is multiplied by the derivatives that the matrix contains. `constraint_rates` and
+        `fixed_force_rates` are the derivatives of this residual and of the force at constant displacements and
+        multipliers.
         """
-        fr = surface.rates[i, ContactLinearisationColumn.RR] * dr + surface.rates[i, ContactLinearisationColumn.RZ] * dz
-        fz = surface.rates[i, ContactLinearisationColumn.ZR] * dr + surface.rates[i, ContactLinearisationColumn.ZZ] * dz
+        cr, cz = rates.constraint_rates[k, i, 0], rates.constraint_rates[k, i, 1]
+        fr = (surface.rates[i, ContactLinearisationColumn.RR] * (dr + cr)
+              + surface.rates[i, ContactLinearisationColumn.RZ] * (dz + cz) + rates.fixed_force_rates[k, i, 0])
+        fz = (surface.rates[i, ContactLinearisationColumn.ZR] * (dr + cr)
+              + surface.rates[i, ContactLinearisationColumn.ZZ] * (dz + cz) + rates.fixed_force_rates[k, i, 1])
         lr, lz = rates.multiplier_rates[k, i, 0], rates.multiplier_rates[k, i, 1]
         hr, hz = rates.anchor_rates[k, i, 0], rates.anchor_rates[k, i, 1]
         stiff, missed_r, missed_z = PENALTY.stick_factor * surface.springs[i], 0.0, 0.0
@@ -211,10 +216,10 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
             mu = surface.rates[i, ContactLinearisationColumn.FRICTION]
             tr, tz = -nz, nr
             pressed, along = lr * nr + lz * nz, 0.0
-            apart, slip = dr * nr + dz * nz, 0.0
+            apart, slip = (dr + cr) * nr + (dz + cz) * nz, 0.0
             if mu > 0.0 and surface.held[i, 0] == TOUCHED:
                 sticks = lr * tr + lz * tz - stiff * (hr * tr + hz * tz)
-                slides = rates.friction_force_rates[k, i] - surface.slip_signs[i] * mu * pressed
+                slides = -surface.slip_signs[i] * mu * pressed
                 along = sticks if surface.slip_signs[i] == 0.0 else slides
                 slip = (dr - hr) * tr + (dz - hz) * tz if surface.slip_signs[i] == 0.0 else 0.0
             missed_r, missed_z = apart * nr + slip * tr, apart * nz + slip * tz
@@ -272,7 +277,8 @@ def make_force_and_state_sensitivity_kernels(element_name: str, energy: KernelEn
                 pushing += ti.abs(rates.forces[k, i])
             friction_force_sum = 0.0
             for c in range(counts[StepIntegerIndex.CONTACTS]):
-                friction_force_sum += ti.abs(rates.friction_force_rates[k, c])
+                friction_force_sum += (ti.abs(rates.fixed_force_rates[k, c, 0])
+                                       + ti.abs(rates.fixed_force_rates[k, c, 1]))
             pushing += friction_force_sum
             if ti.static(not remembers):
                 if refines == 1 and round > 0:

@@ -396,6 +396,13 @@ class AxisymmetricSolver(KernelOwner, Solver):
         """See `Solver.error_estimation_rule`."""
         return RESOLUTIONS[resolution].error_estimation_rule if resolution in RESOLUTIONS else None
 
+    @property
+    def differentiates_geometry(self) -> bool:
+        """See `Solver.differentiates_geometry`; False with point effects, contact laws or weight."""
+        equations = self.equations
+        return not (equations.effects.formulas or equations.specific_weight
+                    or (equations.contact is not None and equations.contact.laws))
+
     def enable_force_derivatives(
             self, neighbours: Neighbours,
             experiments: Sequence[ExperimentDerivatives] | None = None) -> MaterialSensitivity | None:
@@ -406,9 +413,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         Returns:
             None with effects at the quadrature points, contact laws or weight, for which no derivatives exist.
         """
-        equations = self.equations
-        if neighbours and (equations.effects.formulas or equations.specific_weight
-                           or (equations.contact is not None and equations.contact.laws)):
+        if neighbours and not self.differentiates_geometry:
             return None
         from tissue_sim.fem.axisymmetric.sensitivity import MaterialSensitivity
 
