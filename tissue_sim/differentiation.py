@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.experiment.experiment import Approach
 from tissue_sim.fem.contact.pairs import differentiate_friction_coefficients
 from tissue_sim.fem.solver import (
     FRICTION_PATHS,

@@ -22,7 +22,7 @@ from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.mesh.solid_element import HEX8P0
-from tissue_sim.parameters import get_parameter_value, parameters, with_values
+from tissue_sim.parameters import parameters
 
 PRONY = ts.Prony((ts.PronyTerm(0.3, 2.0),), "long_term")
 FACES = ("experiment.friction", "experiment.friction_base")
