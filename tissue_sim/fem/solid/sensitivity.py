@@ -22,6 +22,7 @@ from tissue_sim.fem.history import MaterialMemory, RelaxationSofteningCoefficien
 from tissue_sim.fem.linear.sparse import SparseSolver
 from tissue_sim.fem.solid.contact import ContactNodes, ToolFrame
 from tissue_sim.fem.solid.equations import SolidEquations
+from tissue_sim.fem.solid.shape_sensitivity import MeshDerivative, NeighbourEquations, ToolShapeDifferences
 from tissue_sim.fem.solver import ExperimentDerivatives, Neighbours
 from tissue_sim.material.material import Material
 from tissue_sim.material.viscoelasticity import Prony
@@ -239,6 +240,9 @@ class HistoryDerivatives:
 
 #: Half width of the differences in units of the distance of the neighbours, which is 1e-6 of the parameter.
 _WIDTH = 10.0
+#: Half width of the differences with respect to the geometry, in units of the distance of the neighbours: the values of
+#: the neighbours themselves. The error of a difference increases with K/mu times the square of its width.
+_GEOMETRY_WIDTH = 0.5
 
 
 @dataclass(frozen=True)
@@ -264,7 +268,8 @@ class FirstTouchDerivatives:
     """Derivatives of the state of the first touch with respect to m parameters.
 
     Attributes:
-        stretch: derivative of the logarithm of the height of the undeformed mesh, shape (m,).
+        stretch: derivative of the logarithm of the height of the undeformed mesh, in addition to its derivative from
+            neighbouring solvers, shape (m,).
         settled: `SolidSensitivity.state_derivatives` of the settled specimen; None: the specimen is undeformed.
         resting: indices of the contact nodes of the settled specimen, shape (n,).
         datum: derivative of the height of the scene's origin in the frame of the mesh, m, shape (m,).
@@ -292,7 +297,8 @@ class SolidSensitivity:
         input_rates: derivatives of each region's inputs, in their order, shape (m, ...).
         memories: derivatives of the history of each region.
         widths: distance of each parameter's neighbours, shape (m,).
-        experiments: derivatives of the inputs from the experiment; None: zero.
+        experiments: derivatives of the inputs from the experiment.
+        geometries: equations around each parameter of the geometry, else None.
 
     Attributes:
         force: derivatives of the force on the tool along z, N per unit of the parameter, shape (m,).
@@ -301,12 +307,13 @@ class SolidSensitivity:
 
     def __init__(self, equations: SolidEquations, input_rates: Sequence[Sequence[np.ndarray]],
                  memories: Sequence[HistoryDerivatives], widths: np.ndarray,
-                 experiments: Sequence[ExperimentDerivatives] | None = None):
-        self._equations, self._memories, self._half = equations, memories, _WIDTH * widths
+                 experiments: Sequence[ExperimentDerivatives], geometries: Sequence[NeighbourEquations | None]):
+        self._equations, self._memories = equations, memories
+        self._half = np.where([each is None for each in geometries], _WIDTH, _GEOMETRY_WIDTH) * widths
         self._regions = range(len(memories))
         m, n = widths.size, equations.contact.nodes.size
         #: Derivatives of the friction of face, shaft and base, shape (3, m).
-        self._frictions = np.array([each[:3] for each in experiments or [ExperimentDerivatives()] * m]).reshape(m, 3).T
+        self._frictions = np.array([each[:3] for each in experiments]).reshape(m, 3).T
         #: For each parameter and region: input arrays and their derivatives.
         self._inputs = [[[(array, rate[k]) for array, rate in zip(region.inputs, rates, strict=True) if rate[k].any()]
                          for region, rates in zip(equations.tissue.region_material_arrays, input_rates, strict=True)]
@@ -318,10 +325,13 @@ class SolidSensitivity:
         self._anchors, self._apart = np.zeros((2, n, 3, m))
         self._held = np.zeros((equations.held_dofs.size // 3, 3, m))
         self._origin, self._undeformed = np.zeros((3, m)), np.zeros((*equations.mesh.nodes.shape, m))
-        self._stretch, self._motion = np.zeros(m), np.zeros((equations.x.size, m))
+        self._motion = np.zeros((equations.x.size, m))
+        self._meshes = [None if near is None else MeshDerivative.from_neighbours(equations, near)
+                        for near in geometries]
+        self._shapes = ToolShapeDifferences(equations.contact, geometries)
+        self._shape = self._shapes.differentiate(np.zeros((n, 3)), equations.first_frame)
         self._laws: LawDerivativesByPositionSlipForce | None = None
         self._added, self._sparse = np.zeros((n, 3, 3)), SparseSolver()
-        self._stretched: list[tuple[np.ndarray, np.ndarray]] = []
         self._kinds, self._changed = np.zeros((5, n), dtype=bool), False
 
     @classmethod
@@ -336,15 +346,26 @@ class SolidSensitivity:
             neighbours: see `tissue_sim.fem.solver.Neighbours`.
             experiments: derivatives of the inputs from the experiment; None: zero.
         """
-        def set_material_and_copy_inputs(material: Material) -> list[list[np.ndarray]]:
-            """Set a material, and return copies of the arrays that it sets, for each region."""
-            equations.set_material(material)
-            return [[array.copy() for array in (*region.inputs, region.memory.past)] for region in regions]
+        def copy_inputs(near: SolidEquations) -> list[list[np.ndarray]]:
+            """Return copies of the arrays that depend on the material, for each region."""
+            return [[array.copy() for array in (*region.inputs, region.memory.past)]
+                    for region in near.tissue.region_material_arrays]
 
         regions, here = equations.tissue.region_material_arrays, equations.material
+        experiments = experiments or [ExperimentDerivatives()] * len(neighbours)
+        geometries: list[NeighbourEquations | None] = []
+        sides, relaxations = [], []
         try:
-            sides = [(set_material_and_copy_inputs(more), set_material_and_copy_inputs(less)) for more, less,
-                     _ in neighbours]
+            for (more, less, width), experiment in zip(neighbours, experiments, strict=True):
+                near, both, series = experiment.neighbour_solvers, [], []
+                for material, side in zip((more, less), near or (None, None), strict=True):
+                    at = equations if side is None else side.equations
+                    at.set_material(material)
+                    both.append(copy_inputs(at))
+                    series.append([region.relaxation(material) for region in at.tissue.region_material_arrays])
+                sides.append(both)
+                relaxations.append(series)
+                geometries.append(near and NeighbourEquations(near[0].equations, near[1].equations, width))
         finally:
             equations.set_material(here)
         widths = np.array([width for *_, width in neighbours])
@@ -356,24 +377,27 @@ class SolidSensitivity:
                 for rate, above, below in zip(found, more[number], less[number], strict=True):
                     rate[k] = (above - below) / widths[k]
             rates.append(found[:-1])
-            relaxations = [(region.relaxation(more), region.relaxation(less)) for more, less, _ in neighbours]
-            memories.append(HistoryDerivatives(region.memory, found[-1], relaxations, widths))
-        return cls(equations, rates, memories, widths, experiments)
+            memories.append(HistoryDerivatives(region.memory, found[-1], [
+                (more[number], less[number]) for more, less in relaxations], widths))
+        return cls(equations, rates, memories, widths, experiments, geometries)
 
     def set_first_touch_derivatives(self, start: FirstTouchDerivatives) -> None:
         """Set the derivatives of the state of the first touch, before the first step."""
         equations, contact, first = self._equations, self._equations.contact, self._equations.first_frame
-        self._stretch[:] = start.stretch
-        self._stretched = (equations.batches.array_pairs_with_log_height_derivatives if start.stretch.any()
-                           else [])
-        self._undeformed[:, 2] = equations.mesh.nodes[:, 2, None] * start.stretch
+        if start.stretch.any():
+            stretched = MeshDerivative.from_logarithm_of_height(equations)
+            self._meshes = [stretched.scale(factor) if factor else None for factor in start.stretch]
         self._origin[2] = start.datum
+        for k, mesh in enumerate(self._meshes):
+            if mesh is not None:
+                self._undeformed[:, :, k] = mesh.nodes
+                self._origin[2, k] += mesh.datum
         self._apart[:] = self._undeformed[contact.nodes]
         if start.lift is not None:
             self._apart[contact.moves, 2] -= start.lift[contact.nodes[contact.moves]]
         # The base is under the lowest nodes.
         self._apart[contact.moves] -= self._origin
-        self._apart[~contact.moves, 2] -= equations.mesh.nodes[:, 2].min() * start.stretch
+        self._apart[~contact.moves, 2] -= self._undeformed[np.argmin(equations.mesh.nodes[:, 2]), 2]
         if start.settled is not None:
             motion, anchors, *remembered = start.settled
             self._motion[:] = motion.T
@@ -423,13 +447,16 @@ class SolidSensitivity:
             each.compute_inherited_derivatives()
         rates = np.stack([self._differentiate_forces_by_one_parameter(k) for k in range(m)], axis=1)
         follows = frame.rotation @ self._held + self._origin - self._undeformed[equations.held_dofs[::3] // 3]
-        self._laws = LawDerivativesByPositionSlipForce.make_from_differences_or_none(
-            equations.contact, equations.x.reshape(-1, 3)[equations.contact.nodes], frame)
+        displacement = equations.x.reshape(-1, 3)[equations.contact.nodes]
+        self._laws = LawDerivativesByPositionSlipForce.make_from_differences_or_none(equations.contact, displacement,
+                                                                                     frame)
+        self._shape = self._shapes.differentiate(displacement, frame)
         motion, forces = self._solve_displacement_and_force_derivatives(rates, follows.reshape(-1, m))
         held = -(rates + self._multiply_by_tissue_tangent(motion))[equations.held_dofs].reshape(-1, 3, m)
         self.vector[:] = held.sum(axis=0).T + forces[equations.contact.moves].sum(axis=0).T
         self._update_history_rates(motion)
-        self._anchors = state.differentiate_anchors(self._select_contact_rows(motion) + self._apart, self._anchors)
+        self._anchors = state.differentiate_anchors(self._select_contact_rows(motion) + self._apart, self._anchors,
+                                                    self._shape)
         self._motion = motion
         for each in aside:
             each.end_shift_from_kink()
@@ -440,11 +467,12 @@ class SolidSensitivity:
         acting = {number: [(array, rate) for array,
                            rate in self._get_material_input_and_derivative_pairs(k, number) if rate.any()]
                   for number in self._regions}
-        stretched, tissue = self._get_mesh_input_and_derivative_pairs(k), self._equations.tissue
-        regions = [number for number in self._regions if acting[number] or stretched]
-        directions = [*stretched, *chain(*acting.values())]
+        mesh, tissue = self._meshes[k], self._equations.tissue
+        regions = [number for number in self._regions if acting[number] or mesh is not None]
+        directions = [*self._get_mesh_input_and_derivative_pairs(k), *chain(*acting.values())]
         forces, = self._differentiate_assembly_along_direction(k, regions, directions, [tissue.batches.residual])
-        forces[2:-1:3] += tissue.specific_weight * self._stretch[k] * tissue.batches.volumes
+        if mesh is not None:
+            forces[2:-1:3] += tissue.specific_weight * mesh.volumes
         return forces[:-1]
 
     def _update_history_rates(self, motion: np.ndarray) -> None:
@@ -464,7 +492,8 @@ class SolidSensitivity:
 
     def _get_mesh_input_and_derivative_pairs(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return pairs (input array that depends on the undeformed mesh, its derivative by parameter k)."""
-        return [(array, self._stretch[k] * rate) for array, rate in self._stretched] if self._stretch[k] else []
+        mesh = self._meshes[k]
+        return [] if mesh is None else mesh.inputs
 
     def _differentiate_assembly_along_direction(self, k: int, regions: Sequence[int],
                                                 directions: Sequence[tuple[np.ndarray, np.ndarray]],
@@ -544,7 +573,7 @@ class SolidSensitivity:
             of the laws, N, shape (n, 3, m) each.
         """
         state, against = self._equations.contact.state, self._select_contact_rows(motion) + self._apart
-        found, missing = state.differentiate_forces_and_residuals(against, self._anchors, forces,
+        found, missing = state.differentiate_forces_and_residuals(against, self._anchors, self._shape, forces,
                                                                   self._select_friction_derivatives())
         acting = found + missing
         if self._laws is not None:
