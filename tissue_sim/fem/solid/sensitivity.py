@@ -22,7 +22,7 @@ from tissue_sim.fem.history import MaterialMemory, RelaxationSofteningCoefficien
 from tissue_sim.fem.linear.sparse import SparseSolver
 from tissue_sim.fem.solid.contact import ContactNodes, ToolFrame
 from tissue_sim.fem.solid.equations import SolidEquations
-from tissue_sim.fem.solid.shape_sensitivity import MeshDerivative, NeighbourEquations, ToolShapeDifferences
+from tissue_sim.fem.solid.shape_sensitivity import MeshDerivative, NeighbourEquations, ToolShapeDerivatives
 from tissue_sim.fem.solver import ExperimentDerivatives, Neighbours
 from tissue_sim.material.material import Material
 from tissue_sim.material.viscoelasticity import Prony
@@ -328,7 +328,7 @@ class SolidSensitivity:
         self._motion = np.zeros((equations.x.size, m))
         self._meshes = [None if near is None else MeshDerivative.from_neighbours(equations, near)
                         for near in geometries]
-        self._shapes = ToolShapeDifferences(equations.contact, geometries)
+        self._shapes = ToolShapeDerivatives(equations.contact, geometries)
         self._shape = self._shapes.differentiate(np.zeros((n, 3)), equations.first_frame)
         self._laws: LawDerivativesByPositionSlipForce | None = None
         self._added, self._sparse = np.zeros((n, 3, 3)), SparseSolver()

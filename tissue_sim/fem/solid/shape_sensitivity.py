@@ -11,7 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.fem.contact.surface_geometry import find_nearest_surface_geometry
+from tissue_sim.fem.contact.pairs import ContactPair
+from tissue_sim.fem.contact.surface_geometry import (
+    differentiate_gap_and_normal_by_outline,
+    find_nearest_surface_geometry,
+)
 from tissue_sim.fem.solid.contact import ContactNodes, ToolFrame, ToolShapeRates
 from tissue_sim.fem.solid.equations import SolidEquations
 
@@ -75,22 +79,41 @@ class MeshDerivative:
         return [(array, self.factor * rate) for array, rate in self.arrays]
 
 
-class ToolShapeDifferences:
-    """Differences of the distances of fixed points from tools with a size increased and decreased.
+class OutlineRates(NamedTuple):
+    """Derivative of the outline of a tool with respect to parameter `number`.
+
+    Attributes:
+        number: index of the parameter.
+        pair: contact pair with the outline.
+        own: indices of its nodes among the contact nodes.
+        vertices: derivatives of the vertices of the outline, m per unit, shape (vertices, 2).
+        rounding: derivative of the rounding, m per unit.
+    """
+
+    number: int
+    pair: ContactPair
+    own: np.ndarray
+    vertices: np.ndarray
+    rounding: float
+
+
+class ToolShapeDerivatives:
+    """Derivatives of the distances of fixed points from the tool with respect to m parameters.
 
     Args:
         contact: contact nodes.
-        neighbours: for each of m parameters the equations around it; None: the tool does not depend on the parameter.
+        neighbours: for each parameter the equations around it; None: the tool does not depend on the parameter.
     """
 
     def __init__(self, contact: ContactNodes, neighbours: Sequence[NeighbourEquations | None]):
         self._contact, self._count = contact, len(neighbours)
-        self._changes = [(k, own, more, less, near.width) for k, near in enumerate(neighbours) if near is not None
-                         for (pair, own), (more, _), (less, _) in zip(
-                             contact.parts, near.more.contact.parts, near.less.contact.parts, strict=True)
-                         if pair.moves and own.size and not (
-                             np.array_equal(more.profile.vertices, less.profile.vertices)
-                             and more.profile.rounding == less.profile.rounding)]
+        rates = [OutlineRates(k, pair, own, (more.profile.vertices - less.profile.vertices) / near.width,
+                              (more.profile.rounding - less.profile.rounding) / near.width)
+                 for k, near in enumerate(neighbours) if near is not None
+                 for (pair, own), (more, _), (less, _) in zip(contact.parts, near.more.contact.parts,
+                                                              near.less.contact.parts, strict=True)
+                 if pair.moves and own.size]
+        self._rates = [each for each in rates if each.vertices.any() or each.rounding]
 
     def differentiate(self, displacement: np.ndarray, frame: ToolFrame) -> ToolShapeRates:
         """Differentiate gaps and normals at the present positions of the nodes.
@@ -101,10 +124,10 @@ class ToolShapeDifferences:
         """
         contact, n = self._contact, len(self._contact.nodes)
         gap, normal = np.zeros((n, 1, self._count)), np.zeros((n, 3, self._count))
-        for k, own, more, less, width in self._changes:
+        for k, pair, own, vertices, rounding in self._rates:
             at = frame.transform_to_tool(contact.places[own] + displacement[own])
-            above, below = (find_nearest_surface_geometry(pair, at, contact.is_pressed_in(frame))
-                            for pair in (more, less))
-            gap[own, 0, k] = (above.gap - below.gap) / width
-            normal[own, :, k] = (above.normal - below.normal) @ frame.rotation.T / width
+            pressed_in = contact.is_pressed_in(frame)
+            gap[own, 0, k], tilt = differentiate_gap_and_normal_by_outline(pair, at, pressed_in, vertices, rounding)
+            meridian = find_nearest_surface_geometry(pair, at, pressed_in).meridian
+            normal[own, :, k] = (tilt[:, None] * meridian) @ frame.rotation.T
         return ToolShapeRates(gap, normal)
