@@ -240,9 +240,9 @@ class HistoryDerivatives:
 
 #: Half width of the differences in units of the distance of the neighbours, which is 1e-6 of the parameter.
 _WIDTH = 10.0
-#: Half width of the differences with respect to the geometry, in units of the distance of the neighbours: the values of
-#: the neighbours themselves. The error of a difference increases with K/mu times the square of its width.
-_GEOMETRY_WIDTH = 0.5
+#: The same for parameters of the geometry, whose neighbours have a distance of 1e-5 of the parameter. The error of a
+#: difference increases with K/mu times the square of its width.
+_GEOMETRY_WIDTH = 0.1
 
 
 @dataclass(frozen=True)
