@@ -1,4 +1,4 @@
-"""Exact derivatives of the force with respect to coefficients of friction, in both solvers, and the height of solids.
+"""Exact derivatives of the force with respect to coefficients of friction, in both solvers.
 
 They are compared with central differences of whole simulations, and for one element with a solution in complex numbers.
 """
@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from force_differences import assert_exact, extrapolated_difference
 
 import tissue_sim as ts
 from tissue_sim import differentiation
@@ -16,16 +17,13 @@ from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.contact import pairs
 from tissue_sim.fem.contact.pairs import RelativeContactTolerances
 from tissue_sim.fem.solid import discretisation
-from tissue_sim.fem.solver import FRICTION_PATHS, HEIGHT_PATH
+from tissue_sim.fem.solver import FRICTION_PATHS
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.mesh.solid_element import HEX8P0
-from tissue_sim.parameters import get_parameter_value, parameters, with_values
 
 PRONY = ts.Prony((ts.PronyTerm(0.3, 2.0),), "long_term")
-#: Widths of the central differences, relative to the coefficient.
-WIDTHS = (4e-3, 2e-3, 1e-3)
 FACES = ("experiment.friction", "experiment.friction_base")
 
 
@@ -44,52 +42,6 @@ def material(bulk=None, **options):
 def experiment(text="ramp 5mm", points=6, **options):
     specimen = options.pop("specimen", ts.Specimen(0.040, 0.070))
     return ts.Experiment(specimen, ts.Protocol.parse(text, points), **options)
-
-
-class ContactFlags:
-    """Store the contact state of all points at every sample."""
-
-    def before_first_step(self, solver):
-        self.seen = []
-
-    def after_sample(self, solver, factor):
-        if isinstance(solver, AxisymmetricSolver):
-            surface = solver.equations.surface
-            # A point that just touches has a force of rounding, or none.
-            presses = abs(surface.forces).max(axis=-1) > 1e-9 * abs(surface.forces).max(initial=0.0)
-            self.seen.append(presses.tobytes() + surface.slip_signs.tobytes())
-        else:
-            self.seen.append(solver.contact.state.discrete_contact_flags.tobytes())
-
-
-def extrapolated_difference(model, path, **options):
-    """Richardson extrapolation of central differences of three widths, up to the last sample with equal contact."""
-    value, runs, slopes = get_parameter_value(model, path), [], []
-    for width in WIDTHS:
-        forces = []
-        for factor in (1.0 + width, 1.0 - width):
-            flags = ContactFlags()
-            changed = with_values(model, {path: value * factor})
-            forces.append(ts.simulate(changed, watch=flags, estimate_error=False, topology=model, **options).force)
-            runs.append(flags.seen)
-        slopes.append((forces[0] - forces[1]) / (2.0 * width * value))
-    shared = np.cumprod([len(set(seen)) == 1 for seen in zip(*runs, strict=True)]).sum()
-    wide, middle, narrow = slopes
-    once, again = (4.0 * middle - wide) / 3.0, (4.0 * narrow - middle) / 3.0
-    return (16.0 * again - once) / 15.0, int(shared)
-
-
-def assert_exact(model, paths, rel=1e-6, **options):
-    """Compare with differences; return the fraction of samples at which all simulations had the same contact."""
-    answer = ts.sensitivities(model, paths, **options)
-    assert answer.exact.all()
-    compared = 0
-    for k, path in enumerate(paths):
-        slope, shared = extrapolated_difference(model, path, **options)
-        assert abs(slope[:shared]).max() > 0.0, path
-        assert abs(answer.values[:shared, k] - slope[:shared]).max() < rel * abs(slope[:shared]).max(), path
-        compared += shared
-    return compared / (len(paths) * len(answer.recording))
 
 
 @pytest.mark.slow
@@ -138,40 +90,6 @@ HEAVY = ts.Specimen(0.04, 0.05, density=1040.0, gravity=9.81, height_is="moulded
 def test_solid(shape, options, paths):
     model, mesh = solid_model(shape, **options)
     assert assert_exact(model, paths, solver="solid", mesh=mesh) == 1.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("shape", "options"), [
-    ("flat", {}), ("flat", {"way": (0.0, 1.0, 2.0, 2.0, 1.5), "of_material": {"viscoelastic": PRONY}}),
-    ("plate", {"friction": 0.3, "friction_base": 0.2}), ("round", {"friction": 0.3, "approach": OBLIQUE})],
-    ids=["bonded", "bonded with a Prony term", "plates", "oblique"])
-def test_height_of_a_solid(shape, options):
-    model, mesh = solid_model(shape, **options)
-    assert assert_exact(model, [HEIGHT_PATH], solver="solid", mesh=mesh) == 1.0
-
-
-@pytest.mark.slow
-def test_height_together_with_other_parameters():
-    """The derivatives do not depend on the parameters that are requested with them."""
-    model, mesh = solid_model("plate", friction=0.3, friction_base=0.2)
-    names = ["C10", HEIGHT_PATH, FACES[1]]
-    answer = ts.sensitivities(model, names, solver="solid", mesh=mesh)
-    assert answer.exact.all()
-    for k, name in enumerate(names):
-        alone = ts.sensitivities(model, [name], solver="solid", mesh=mesh).values[:, 0]
-        np.testing.assert_allclose(answer.values[:, k], alone, rtol=0, atol=1e-9 * abs(alone).max())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("shape", "options"), [
-    ("flat", {"specimen": HEAVY}), ("flat", {"of_material": {"layers": (ts.Layer(5e-3, 2.0),)}}),
-    ("sphere", {"friction": 0.3, "adhesion": ts.Adhesion(0.02, 0.5e-3)}),
-    ("flat", {"of_material": {"bulk": ts.Bulk("incompressible")}})],
-    ids=["weight", "layers", "adhesion", "incompressible"])
-def test_height_without_exact_derivative(shape, options):
-    """Other terms than the stretched mesh depend on the height."""
-    model, _ = solid_model(shape, way=(0.0, 0.5), **options)
-    assert not differentiation._may_have_exact_derivative(model, parameters(model)[HEIGHT_PATH])
 
 
 #: Radius of the single element, m; as large as its height, so that the element is square.

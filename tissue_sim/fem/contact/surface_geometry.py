@@ -131,7 +131,8 @@ def differentiate_gap_and_normal_by_outline(pair: ContactPair, points: np.ndarra
         unit, shape (n,).
     """
     line, distance, normal, bent = _compute_outline_distances(pair, points, pressed_in)
-    start, t, length = pair.profile.lines[line, :2], pair.profile.lines[line, 2:4], pair.profile.lines[line, OutlineLineColumn.LENGTH]
+    lines = pair.profile.lines[line]
+    start, t, length = lines[:, :2], lines[:, 2:4], lines[:, OutlineLineColumn.LENGTH]
     plane = np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]], axis=-1)
     part = np.einsum("ni,ni->n", plane - distance[:, None] * normal - start, t) / length
     turned = vertices[line + 1] - vertices[line]

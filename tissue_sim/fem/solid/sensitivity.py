@@ -1,12 +1,9 @@
-"""Exact derivatives of a solid's force with respect to parameters of material and friction, updated from step to step.
+"""Exact derivatives of a solid's force with respect to parameters of material, friction and geometry.
 
 The discrete equations of tissue and contact are differentiated at every converged step (Michaleris, Tortorelli and
 Vidal, Int. J. Numer. Methods Eng. 37 (1994) 2471). The derivative of the forces at constant displacements is a central
 difference of the assembly, in the direction of all inputs that depend on the parameter, the history included. The
 derivative of the displacements is solved with the tangent at the converged state.
-
-Derivatives of contact laws are differences, because those that a law states are only used in Newton's tangent and may
-be incomplete.
 """
 
 from __future__ import annotations
@@ -14,109 +11,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import NamedTuple
 
 import numpy as np
 
 from tissue_sim.fem.history import MaterialMemory, RelaxationSofteningCoefficient
 from tissue_sim.fem.linear.sparse import SparseSolver
-from tissue_sim.fem.solid.contact import ContactNodes, ToolFrame
+from tissue_sim.fem.solid.contact import ToolFrame
 from tissue_sim.fem.solid.equations import SolidEquations
+from tissue_sim.fem.solid.law_sensitivity import LawDerivativesByPositionSlipForce
 from tissue_sim.fem.solid.shape_sensitivity import MeshDerivative, NeighbourEquations, ToolShapeDerivatives
 from tissue_sim.fem.solver import ExperimentDerivatives, Neighbours
-from tissue_sim.material.material import Material
 from tissue_sim.material.viscoelasticity import Prony
-
-
-@dataclass(frozen=True)
-class LawFiniteDifferenceSettings:
-    """Settings of the differences of contact laws.
-
-    Attributes:
-        step: step of a difference over the reach of the laws, or over the force of a node, 1.
-        min_force: smallest nodal force for such a step over the largest nodal force, 1.
-    """
-
-    step: float = 1e-5
-    min_force: float = 1e-3
-
-
-_DIFFERENCES = LawFiniteDifferenceSettings()
-
-
-class LawDerivativesByPositionSlipForce(NamedTuple):
-    """Derivatives of the nodal forces on the tool, zero where no law acts.
-
-    Attributes:
-        by_place: with respect to the position of a node relative to the tool at constant slip, N/m, shape (n, 3, 3).
-        by_slip: with respect to the slip, N/m, shape (n, 3, 3).
-        by_force: with respect to the contact force along the normal, shape (n, 3).
-        normals: outward normals of the tool, shape (n, 3).
-    """
-
-    by_place: np.ndarray
-    by_slip: np.ndarray
-    by_force: np.ndarray
-    normals: np.ndarray
-
-    @classmethod
-    def make_from_differences_or_none(cls, contact: ContactNodes, displacement: np.ndarray,
-                                      frame: ToolFrame) -> LawDerivativesByPositionSlipForce | None:
-        """Compute the derivatives by differences at the last evaluated equilibrium; None if no law acts.
-
-        Args:
-            contact: contact nodes.
-            displacement: of these nodes, m, shape (n, 3).
-            frame: frame of the tool.
-        """
-        state, laws, normals = contact.state, contact.laws, contact.normals.copy()
-        near, nodes = state.near, contact.nodes[state.near]
-        if not near.any():
-            return None
-
-        def evaluate_law_forces(moved: np.ndarray, slip: np.ndarray, normal: np.ndarray) -> np.ndarray:
-            """Return the forces of the laws on the tool, N, for moved nodes, other slip and other normal forces."""
-            _, gap, curved, _, _, meridians = contact.compute_kinematics_and_store_normals(displacement + moved, frame)
-            out = contact.normals[near]
-            along = slip[near] - np.einsum("ni,ni->n", slip[near], out)[:, None] * out
-            return laws.compute_law_forces_and_derivatives(nodes, gap[near], normal[near], along, out, meridians[near],
-                                                           curved[near], 0.0)[0]
-
-        n, step, still, slip, normal = near.size, _DIFFERENCES.step * laws.reach, np.zeros(3), state.slip, state.normal
-        by_place, by_slip = np.zeros((2, n, 3, 3))
-        by_force = np.zeros((n, 3))
-        for i, way in enumerate(step * np.eye(3)):
-            by_place[near, :, i] = (evaluate_law_forces(way, slip, normal)
-                                    - evaluate_law_forces(-way, slip, normal)) / (2.0 * step)
-            by_slip[near, :, i] = (evaluate_law_forces(still, slip + way, normal)
-                                   - evaluate_law_forces(still, slip - way, normal)) / (2.0 * step)
-        more = _DIFFERENCES.step * np.maximum(np.abs(normal), _DIFFERENCES.min_force * np.abs(normal).max()) + 1e-300
-        by_force[near] = ((evaluate_law_forces(still, slip, normal + more)
-                           - evaluate_law_forces(still, slip, normal - more))
-                          / (2.0 * more[near, None]))
-        contact.normals[:] = normals
-        return cls(by_place, by_slip, by_force, normals)
-
-    def differentiate_law_forces_by_parameters(self, motion: np.ndarray, slipped: np.ndarray,
-                                               contact_forces: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the law forces with respect to m parameters, shape (n, 3, m), by the chain rule.
-
-        Args:
-            motion: derivatives of the positions relative to the tool, shape (n, 3, m).
-            slipped: derivatives of the slip, shape (n, 3, m).
-            contact_forces: derivatives of the contact forces, shape (n, 3, m).
-        """
-        normal = np.einsum("ni,nik->nk", self.normals, contact_forces)
-        return self.by_place @ motion + self.by_slip @ slipped + self.by_force[:, :, None] * normal[:, None]
-
-    def differentiate_law_forces_by_displacement(self, rates: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the law forces with respect to nodal displacements, N/m, shape (n, 3, 3).
-
-        Args:
-            rates: derivatives of the contact forces with respect to nodal displacements, N/m, shape (n, 3, 3).
-        """
-        normal = np.einsum("ni,nij->nj", self.normals, rates)
-        return self.by_place + self.by_slip + self.by_force[:, :, None] * normal[:, None]
 
 
 @dataclass(frozen=True)
@@ -321,9 +226,10 @@ class SolidSensitivity:
         self.vector = np.zeros((m, 3))
         self.force = self.vector[:, 2]
         #: Derivatives of: the anchors, in the frames of their bodies; the undeformed positions relative to the bodies;
-        #: the held nodes in the frame of the tool; its origin, and the undeformed positions, in the frame of the mesh.
+        #: the held nodes in the frame of the tool, and their displacements at the first touch; the origin of the tool,
+        #: and the undeformed positions, in the frame of the mesh.
         self._anchors, self._apart = np.zeros((2, n, 3, m))
-        self._held = np.zeros((equations.held_dofs.size // 3, 3, m))
+        self._held, self._held_motion = np.zeros((2, equations.held_dofs.size // 3, 3, m))
         self._origin, self._undeformed = np.zeros((3, m)), np.zeros((*equations.mesh.nodes.shape, m))
         self._motion = np.zeros((equations.x.size, m))
         self._meshes = [None if near is None else MeshDerivative.from_neighbours(equations, near)
@@ -373,8 +279,8 @@ class SolidSensitivity:
         for number, region in enumerate(regions):
             arrays = (*region.inputs, region.memory.past)
             found = [np.zeros((widths.size, *array.shape)) for array in arrays]
-            for k, (more, less) in enumerate(sides):
-                for rate, above, below in zip(found, more[number], less[number], strict=True):
+            for k, (high, low) in enumerate(sides):
+                for rate, above, below in zip(found, high[number], low[number], strict=True):
                     rate[k] = (above - below) / widths[k]
             rates.append(found[:-1])
             memories.append(HistoryDerivatives(region.memory, found[-1], [
@@ -410,8 +316,9 @@ class SolidSensitivity:
             _, here, there = np.intersect1d(np.where(contact.moves, -1, contact.nodes), start.resting,
                                             return_indices=True)
             self._anchors[here] = np.moveaxis(anchors, 0, -1)[there]
-        places = self._undeformed + self._motion.reshape(self._undeformed.shape)
-        self._held[:] = turned @ (places[equations.held_dofs[::3] // 3] - self._origin)
+        held = equations.held_dofs[::3] // 3
+        self._held_motion[:] = self._motion.reshape(self._undeformed.shape)[held]
+        self._held[:] = turned @ (self._undeformed[held] + self._held_motion - self._origin)
 
     @property
     def state_derivatives(self) -> list[np.ndarray]:
@@ -446,7 +353,8 @@ class SolidSensitivity:
         for each in self._memories:
             each.compute_inherited_derivatives()
         rates = np.stack([self._differentiate_forces_by_one_parameter(k) for k in range(m)], axis=1)
-        follows = frame.rotation @ self._held + self._origin - self._undeformed[equations.held_dofs[::3] // 3]
+        # Without rounding errors while the tool does not turn: no force would be their reference.
+        follows = self._held_motion + (frame.rotation - equations.first_frame.rotation) @ self._held
         displacement = equations.x.reshape(-1, 3)[equations.contact.nodes]
         self._laws = LawDerivativesByPositionSlipForce.make_from_differences_or_none(equations.contact, displacement,
                                                                                      frame)

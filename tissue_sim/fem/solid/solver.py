@@ -342,8 +342,9 @@ class SolidSolver(KernelOwner, Solver):
         self._derivatives = SolidSensitivity.from_perturbed_materials(self.equations, neighbours, experiments)
         self.restore(saved)
         self.equations.restore_committed_state()
-        self._derivatives.set_first_touch_derivatives(
-            start or FirstTouchDerivatives.from_undeformed_specimen(np.zeros(len(neighbours))))
+        if neighbours:
+            self._derivatives.set_first_touch_derivatives(
+                start or FirstTouchDerivatives.from_undeformed_specimen(np.zeros(len(neighbours))))
         return self._derivatives
 
     def reset_to_first_touch(self) -> None:
