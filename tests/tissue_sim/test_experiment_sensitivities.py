@@ -1,4 +1,4 @@
-"""Exact derivatives of the force with respect to coefficients of friction, in both solvers, and the height of solids.
+"""Exact derivatives of the force with respect to coefficients of friction, in both solvers.
 
 They are compared with central differences of whole simulations, and for one element with a solution in complex numbers.
 """
@@ -22,7 +22,6 @@ from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.mesh.elements import Q4P0
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
 from tissue_sim.mesh.solid_element import HEX8P0
-from tissue_sim.parameters import parameters
 
 PRONY = ts.Prony((ts.PronyTerm(0.3, 2.0),), "long_term")
 FACES = ("experiment.friction", "experiment.friction_base")
@@ -92,40 +91,6 @@ HEAVY = ts.Specimen(0.04, 0.05, density=1040.0, gravity=9.81, height_is="moulded
 def test_solid(shape, options, paths):
     model, mesh = solid_model(shape, **options)
     assert assert_exact(model, paths, solver="solid", mesh=mesh) == 1.0
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("shape", "options"), [
-    ("flat", {}), ("flat", {"way": (0.0, 1.0, 2.0, 2.0, 1.5), "of_material": {"viscoelastic": PRONY}}),
-    ("plate", {"friction": 0.3, "friction_base": 0.2}), ("round", {"friction": 0.3, "approach": OBLIQUE})],
-    ids=["bonded", "bonded with a Prony term", "plates", "oblique"])
-def test_height_of_a_solid(shape, options):
-    model, mesh = solid_model(shape, **options)
-    assert assert_exact(model, [SIZES[1]], solver="solid", mesh=mesh) == 1.0
-
-
-@pytest.mark.slow
-def test_height_together_with_other_parameters():
-    """The derivatives do not depend on the parameters that are requested with them."""
-    model, mesh = solid_model("plate", friction=0.3, friction_base=0.2)
-    names = ["C10", SIZES[1], FACES[1]]
-    answer = ts.sensitivities(model, names, solver="solid", mesh=mesh)
-    assert answer.exact.all()
-    for k, name in enumerate(names):
-        alone = ts.sensitivities(model, [name], solver="solid", mesh=mesh).values[:, 0]
-        np.testing.assert_allclose(answer.values[:, k], alone, rtol=0, atol=1e-9 * abs(alone).max())
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("shape", "options"), [
-    ("flat", {"specimen": HEAVY}), ("flat", {"of_material": {"layers": (ts.Layer(5e-3, 2.0),)}}),
-    ("sphere", {"friction": 0.3, "adhesion": ts.Adhesion(0.02, 0.5e-3)}),
-    ("flat", {"of_material": {"bulk": ts.Bulk("incompressible")}})],
-    ids=["weight", "layers", "adhesion", "incompressible"])
-def test_height_without_exact_derivative(shape, options):
-    """Other terms than the stretched mesh depend on the height."""
-    model, _ = solid_model(shape, way=(0.0, 0.5), **options)
-    assert not differentiation._may_have_exact_derivative(model, parameters(model)[SIZES[1]])
 
 
 #: Radius of the single element, m; as large as its height, so that the element is square.

@@ -209,7 +209,7 @@ def test_geometry_moves_the_nodes_of_one_mesh():
                                                                                 "experiment.approach.offset",
                                                                                 "experiment.approach.angle"],
                                       solver="solid", mesh=solid_mesh((5e-3, 0.0)))
-        assert not answer.exact.any()
+        assert answer.exact.tolist() == [True, False, False]
         slopes.append(answer.values[-1])
     np.testing.assert_allclose(*slopes, rtol=0.01)
     assert slopes[0][0] > 0.0

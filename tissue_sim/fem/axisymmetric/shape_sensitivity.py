@@ -26,8 +26,8 @@ class ResidualTerms(NamedTuple):
     """Terms of the residual of a problem at given unknowns, or their derivatives with respect to a size.
 
     Attributes:
-        forces: condensed forces of the tissue on the degrees of freedom, N, shape (freedoms,); meaningless at degrees of
-            freedom without an equation.
+        forces: condensed forces of the tissue on the degrees of freedom, N, shape (freedoms,); meaningless at degrees
+            of freedom without an equation.
         centre_displacements: inverse stiffness of the interior node times its force, r and z, m, shape
             (2, batches, LANES).
         contact_forces: contact forces at constant multipliers, N, shape (points, 2).

@@ -206,8 +206,9 @@ def differentiate_friction_coefficients(more: Experiment, less: Experiment, widt
         return [friction_coefficient_or_stick_marker(interface)
                 for interface in (experiment.friction, shaft, experiment.resolved_base_interface)]
 
-    return ExperimentDerivatives(*((above - below) / width for above, below in zip(
-        list_coefficients(more), list_coefficients(less), strict=True)))
+    face, shaft, base = ((above - below) / width for above, below in zip(
+        list_coefficients(more), list_coefficients(less), strict=True))
+    return ExperimentDerivatives(face, shaft, base)
 
 
 def build_contact_pairs(experiment: Experiment, parts: SurfaceParts, *, tool: bool = True, homogeneous: bool = False,

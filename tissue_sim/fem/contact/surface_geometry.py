@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from tissue_sim.experiment.tools.tool import OutlineLineColumn
+from tissue_sim.experiment.tools.tool import OutlineLineColumn, PolylineDistances
 from tissue_sim.fem.contact.pairs import ContactPair
 from tissue_sim.fem.taichi.runtime import get_initialised_taichi
 
@@ -88,23 +88,59 @@ def find_nearest_surface_geometry(pair: ContactPair, points: np.ndarray, pressed
         points: in the frame of the body, m, shape (n, 3).
         pressed_in: whether the body is at its position of first touch, or deeper; see `ContactPair.closed`.
     """
-    profile, first = pair.profile, pair.first_line
-    closed = pair.closed and pressed_in and first == profile.shaft and profile.rounding == 0.0
-    r = np.hypot(points[:, 0], points[:, 1])
-    line, distance, n2, bent = profile.compute_distances_to_polyline(np.stack([r, points[:, 2]], axis=-1), first,
-                                                                     closed)
+    profile, r = pair.profile, np.hypot(points[:, 0], points[:, 1])
+    line, distance, n2, bent = _compute_outline_distances(pair, points, pressed_in)
     outwards = np.where(r[:, None] > 0.0, points[:, :2] / np.where(r > 0.0, r, 1.0)[:, None], [1.0, 0.0])
     normal = np.concatenate([n2[:, :1] * outwards, n2[:, 1:]], axis=1)
     meridian = np.concatenate([-n2[:, 1:] * outwards, n2[:, :1]], axis=1)
     around = np.stack([-outwards[:, 1], outwards[:, 0], np.zeros(len(r))], axis=-1)
     # On the axis both principal curvatures are equal.
-    length = profile.lines[first:, OutlineLineColumn.LENGTH]
+    length = profile.lines[pair.first_line:, OutlineLineColumn.LENGTH]
     hoop = np.where(r > 1e-9 * length.max(initial=1.0), n2[:, 0] / np.where(r > 0.0, r, 1.0), bent)
     curvature = (bent[:, None, None] * meridian[:, :, None] * meridian[:, None]
                  + hoop[:, None, None] * around[:, :, None] * around[:, None])
     rounded = (bent != 0.0) & (profile.rounding > 0.0)
     return NearestSurfaceGeometry(distance - profile.rounding, normal, curvature, (line >= profile.shaft) & ~rounded,
                                   meridian)
+
+
+def _compute_outline_distances(pair: ContactPair, points: np.ndarray, pressed_in: bool) -> PolylineDistances:
+    """Compute distances and normals of points, m, shape (n, 3), in the half plane of the outline; without rounding."""
+    profile, first = pair.profile, pair.first_line
+    closed = pair.closed and pressed_in and first == profile.shaft and profile.rounding == 0.0
+    plane = np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]], axis=-1)
+    return profile.compute_distances_to_polyline(plane, first, closed)
+
+
+def differentiate_gap_and_normal_by_outline(pair: ContactPair, points: np.ndarray, pressed_in: bool,
+                                            vertices: np.ndarray, rounding: float) -> tuple[np.ndarray, np.ndarray]:
+    """Differentiate gap and normal at constant positions with respect to one parameter of the outline.
+
+    The gap changes by minus the normal velocity of the nearest point of the surface. The derivative of the normal is
+    one-sided between a segment and a rounded vertex.
+
+    Args:
+        pair: contact pair of the body.
+        points: in the frame of the body, m, shape (n, 3).
+        pressed_in: see `find_nearest_surface_geometry`.
+        vertices: derivatives of the vertices of the outline, (r, z), m per unit of the parameter, shape (vertices, 2).
+        rounding: derivative of the rounding, m per unit.
+
+    Returns:
+        Derivatives of the gap, m per unit, shape (n,), and of the component of the normal along the meridian, 1 per
+        unit, shape (n,).
+    """
+    line, distance, normal, bent = _compute_outline_distances(pair, points, pressed_in)
+    lines = pair.profile.lines[line]
+    start, t, length = lines[:, :2], lines[:, 2:4], lines[:, OutlineLineColumn.LENGTH]
+    plane = np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]], axis=-1)
+    part = np.einsum("ni,ni->n", plane - distance[:, None] * normal - start, t) / length
+    turned = vertices[line + 1] - vertices[line]
+    velocity = vertices[line] + part[:, None] * turned
+    meridian = np.stack([-normal[:, 1], normal[:, 0]], axis=-1)
+    tilt = np.where(bent != 0.0, -bent * np.einsum("ni,ni->n", meridian, velocity),
+                    -np.einsum("ni,ni->n", normal, turned) / length)
+    return -np.einsum("ni,ni->n", normal, velocity) - rounding, tilt
 
 
 @cache

@@ -177,10 +177,9 @@ class ElementBatches(ElementLanes):
         return np.einsum("em,emi->ei", self.convert_pressures_to_element_order(pressures), rates)
 
     @property
-    def array_pairs_with_log_height_derivatives(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Pairs of a kernel array and its derivative with respect to the logarithm of the undeformed mesh's height."""
-        return [(self._gradients[2], -self._gradients[2]), (self._weights, self._weights.copy()),
-                (self._mode_values, -0.5 * self._mode_values)]
+    def geometry_arrays(self) -> tuple[np.ndarray, ...]:
+        """Kernel arrays that depend on the undeformed mesh: gradients along x, y and z, weights, pressure modes."""
+        return (*self._gradients, self._weights, self._mode_values)
 
     def convert_pressures_to_element_order(self, amplitudes: np.ndarray) -> np.ndarray:
         """Convert amplitudes of the pressure modes from the arrangement in lanes to shape (elements, modes)."""

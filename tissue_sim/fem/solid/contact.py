@@ -25,6 +25,18 @@ from tissue_sim.fem.contact.surface_geometry import find_nearest_surface_geometr
 from tissue_sim.pose import Pose
 
 
+class ToolShapeRates(NamedTuple):
+    """Derivatives of gaps and normals at fixed positions in the frame of the tool with respect to m sizes of the tool.
+
+    Attributes:
+        gap: m per unit of the parameter, shape (n, 1, m).
+        normal: in the frame of the mesh, 1 per unit of the parameter, shape (n, 3, m).
+    """
+
+    gap: np.ndarray
+    normal: np.ndarray
+
+
 class NodalContactState(NamedTuple):
     """State of all contact nodes; see `tissue_sim.fem.solid.contact.ContactNodes`. Shapes are (n,) if not stated.
 
@@ -72,13 +84,15 @@ class NodalContactState(NamedTuple):
     curved: np.ndarray
     turn: np.ndarray
 
-    def differentiate_forces_and_residuals(self, motion: np.ndarray, anchors: np.ndarray, forces: np.ndarray,
-                                           frictions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def differentiate_forces_and_residuals(self, motion: np.ndarray, anchors: np.ndarray, shape: ToolShapeRates,
+                                           forces: np.ndarray, frictions: np.ndarray
+                                           ) -> tuple[np.ndarray, np.ndarray]:
         """Differentiate the contact forces and the constraint residuals with respect to m parameters.
 
         Args:
             motion: derivatives of the nodal positions with respect to m parameters, shape (n, 3, m).
             anchors: derivatives of the anchors in the frames of their bodies, shape (n, 3, m).
+            shape: derivatives of gaps and normals at fixed positions.
             forces: present iterate of the derivatives of the forces, shape (n, 3, m).
             frictions: derivatives of the coefficients of friction, shape (n, m).
 
@@ -87,9 +101,9 @@ class NodalContactState(NamedTuple):
             N per parameter, shape (n, 3, m) each.
         """
         n, way, springs = self.normals[:, :, None], self.ways[:, :, None], self.springs[:, None, None]
-        gap = _compute_components_along(n, motion)
+        gap = _compute_components_along(n, motion) + shape.gap
         slipped = motion - self.turn @ anchors
-        tilt = self.curved @ motion
+        tilt = self.curved @ motion + shape.normal
         # Derivative of the tangential part of the slip.
         slip = self.slip[:, :, None]
         along = slipped - (_compute_components_along(n, slipped)
@@ -114,14 +128,15 @@ class NodalContactState(NamedTuple):
         missing = np.where(_reshape_mask_for_broadcast(self.held), holds * slipped, missing)
         return np.where(acts, found, 0.0), np.where(acts, missing, 0.0)
 
-    def differentiate_anchors(self, motion: np.ndarray, anchors: np.ndarray) -> np.ndarray:
+    def differentiate_anchors(self, motion: np.ndarray, anchors: np.ndarray, shape: ToolShapeRates) -> np.ndarray:
         """Return the derivatives of the anchors that follow from this equilibrium, m per parameter, shape (n, 3, m).
 
         For the arguments see `differentiate_forces_and_residuals`.
         """
         n = self.normals[:, :, None]
-        curvature = self.gap[:, None, None] * (self.curved @ motion)
-        surface = self.turn.swapaxes(1, 2) @ (motion - _compute_components_along(n, motion) * n - curvature)
+        gap = _compute_components_along(n, motion) + shape.gap
+        tilted = self.gap[:, None, None] * (self.curved @ motion + shape.normal)
+        surface = self.turn.swapaxes(1, 2) @ (motion - gap * n - tilted)
         return np.where(_reshape_mask_for_broadcast(self.held | self.keeps), anchors,
                         np.where(_reshape_mask_for_broadcast(self.met), surface, 0.0))
 
@@ -341,6 +356,10 @@ class ContactNodes:
         self.held[:], self.held_at[:] = self.bound, self.anchors
         self.pressed[:], self.slips[:], self._ways[:], self._about[:] = False, self.slipped, self.ways_before, 0.0
 
+    def is_pressed_in(self, frame: ToolFrame) -> bool:
+        """Whether the tool is at its position of first touch, or deeper; see `ContactPair.closed`."""
+        return bool(frame.origin[2] <= self._first.origin[2])
+
     def compute_kinematics_and_store_normals(self, displacement: np.ndarray,
                                              frame: ToolFrame) -> tuple[np.ndarray, ...]:
         """Compute displacement and gap of the nodes relative to their bodies, and store `normals`.
@@ -354,7 +373,7 @@ class ContactNodes:
         travel, gap, curved, shaft = np.zeros((n, 3)), np.zeros(n), np.zeros((n, 3, 3)), np.zeros(n, dtype=bool)
         meridians = np.zeros((n, 3))
         turn = np.broadcast_to(np.eye(3), (n, 3, 3)).copy()
-        pressed_in = bool(frame.origin[2] <= self._first.origin[2])
+        pressed_in = self.is_pressed_in(frame)
         for pair, own in self.parts:
             places = self.places[own]
             moved = places + displacement[own]

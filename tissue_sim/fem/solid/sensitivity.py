@@ -1,12 +1,9 @@
-"""Exact derivatives of a solid's force with respect to parameters of material and friction, updated from step to step.
+"""Exact derivatives of a solid's force with respect to parameters of material, friction and geometry.
 
 The discrete equations of tissue and contact are differentiated at every converged step (Michaleris, Tortorelli and
 Vidal, Int. J. Numer. Methods Eng. 37 (1994) 2471). The derivative of the forces at constant displacements is a central
 difference of the assembly, in the direction of all inputs that depend on the parameter, the history included. The
 derivative of the displacements is solved with the tangent at the converged state.
-
-Derivatives of contact laws are differences, because those that a law states are only used in Newton's tangent and may
-be incomplete.
 """
 
 from __future__ import annotations
@@ -14,108 +11,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
-from typing import NamedTuple
 
 import numpy as np
 
 from tissue_sim.fem.history import MaterialMemory, RelaxationSofteningCoefficient
 from tissue_sim.fem.linear.sparse import SparseSolver
-from tissue_sim.fem.solid.contact import ContactNodes, ToolFrame
+from tissue_sim.fem.solid.contact import ToolFrame
 from tissue_sim.fem.solid.equations import SolidEquations
+from tissue_sim.fem.solid.law_sensitivity import LawDerivativesByPositionSlipForce
+from tissue_sim.fem.solid.shape_sensitivity import MeshDerivative, NeighbourEquations, ToolShapeDerivatives
 from tissue_sim.fem.solver import ExperimentDerivatives, Neighbours
-from tissue_sim.material.material import Material
 from tissue_sim.material.viscoelasticity import Prony
-
-
-@dataclass(frozen=True)
-class LawFiniteDifferenceSettings:
-    """Settings of the differences of contact laws.
-
-    Attributes:
-        step: step of a difference over the reach of the laws, or over the force of a node, 1.
-        min_force: smallest nodal force for such a step over the largest nodal force, 1.
-    """
-
-    step: float = 1e-5
-    min_force: float = 1e-3
-
-
-_DIFFERENCES = LawFiniteDifferenceSettings()
-
-
-class LawDerivativesByPositionSlipForce(NamedTuple):
-    """Derivatives of the nodal forces on the tool, zero where no law acts.
-
-    Attributes:
-        by_place: with respect to the position of a node relative to the tool at constant slip, N/m, shape (n, 3, 3).
-        by_slip: with respect to the slip, N/m, shape (n, 3, 3).
-        by_force: with respect to the contact force along the normal, shape (n, 3).
-        normals: outward normals of the tool, shape (n, 3).
-    """
-
-    by_place: np.ndarray
-    by_slip: np.ndarray
-    by_force: np.ndarray
-    normals: np.ndarray
-
-    @classmethod
-    def make_from_differences_or_none(cls, contact: ContactNodes, displacement: np.ndarray,
-                                      frame: ToolFrame) -> LawDerivativesByPositionSlipForce | None:
-        """Compute the derivatives by differences at the last evaluated equilibrium; None if no law acts.
-
-        Args:
-            contact: contact nodes.
-            displacement: of these nodes, m, shape (n, 3).
-            frame: frame of the tool.
-        """
-        state, laws, normals = contact.state, contact.laws, contact.normals.copy()
-        near, nodes = state.near, contact.nodes[state.near]
-        if not near.any():
-            return None
-
-        def evaluate_law_forces(moved: np.ndarray, slip: np.ndarray, normal: np.ndarray) -> np.ndarray:
-            """Return the forces of the laws on the tool, N, for moved nodes, other slip and other normal forces."""
-            _, gap, curved, _, _, meridians = contact.compute_kinematics_and_store_normals(displacement + moved, frame)
-            out = contact.normals[near]
-            along = slip[near] - np.einsum("ni,ni->n", slip[near], out)[:, None] * out
-            return laws.compute_law_forces_and_derivatives(nodes, gap[near], normal[near], along, out, meridians[near],
-                                                           curved[near], 0.0)[0]
-
-        n, step, still, slip, normal = near.size, _DIFFERENCES.step * laws.reach, np.zeros(3), state.slip, state.normal
-        by_place, by_slip = np.zeros((2, n, 3, 3))
-        by_force = np.zeros((n, 3))
-        for i, way in enumerate(step * np.eye(3)):
-            by_place[near, :, i] = (evaluate_law_forces(way, slip, normal)
-                                    - evaluate_law_forces(-way, slip, normal)) / (2.0 * step)
-            by_slip[near, :, i] = (evaluate_law_forces(still, slip + way, normal)
-                                   - evaluate_law_forces(still, slip - way, normal)) / (2.0 * step)
-        more = _DIFFERENCES.step * np.maximum(np.abs(normal), _DIFFERENCES.min_force * np.abs(normal).max()) + 1e-300
-        by_force[near] = ((evaluate_law_forces(still, slip, normal + more)
-                           - evaluate_law_forces(still, slip, normal - more))
-                          / (2.0 * more[near, None]))
-        contact.normals[:] = normals
-        return cls(by_place, by_slip, by_force, normals)
-
-    def differentiate_law_forces_by_parameters(self, motion: np.ndarray, slipped: np.ndarray,
-                                               contact_forces: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the law forces with respect to m parameters, shape (n, 3, m), by the chain rule.
-
-        Args:
-            motion: derivatives of the positions relative to the tool, shape (n, 3, m).
-            slipped: derivatives of the slip, shape (n, 3, m).
-            contact_forces: derivatives of the contact forces, shape (n, 3, m).
-        """
-        normal = np.einsum("ni,nik->nk", self.normals, contact_forces)
-        return self.by_place @ motion + self.by_slip @ slipped + self.by_force[:, :, None] * normal[:, None]
-
-    def differentiate_law_forces_by_displacement(self, rates: np.ndarray) -> np.ndarray:
-        """Return the derivatives of the law forces with respect to nodal displacements, N/m, shape (n, 3, 3).
-
-        Args:
-            rates: derivatives of the contact forces with respect to nodal displacements, N/m, shape (n, 3, 3).
-        """
-        normal = np.einsum("ni,nij->nj", self.normals, rates)
-        return self.by_place + self.by_slip + self.by_force[:, :, None] * normal[:, None]
 
 
 @dataclass(frozen=True)
@@ -239,6 +145,9 @@ class HistoryDerivatives:
 
 #: Half width of the differences in units of the distance of the neighbours, which is 1e-6 of the parameter.
 _WIDTH = 10.0
+#: The same for parameters of the geometry, whose neighbours have a distance of 1e-5 of the parameter. The error of a
+#: difference increases with K/mu times the square of its width.
+_GEOMETRY_WIDTH = 0.1
 
 
 @dataclass(frozen=True)
@@ -264,7 +173,8 @@ class FirstTouchDerivatives:
     """Derivatives of the state of the first touch with respect to m parameters.
 
     Attributes:
-        stretch: derivative of the logarithm of the height of the undeformed mesh, shape (m,).
+        stretch: derivative of the logarithm of the height of the undeformed mesh, in addition to its derivative from
+            neighbouring solvers, shape (m,).
         settled: `SolidSensitivity.state_derivatives` of the settled specimen; None: the specimen is undeformed.
         resting: indices of the contact nodes of the settled specimen, shape (n,).
         datum: derivative of the height of the scene's origin in the frame of the mesh, m, shape (m,).
@@ -292,7 +202,8 @@ class SolidSensitivity:
         input_rates: derivatives of each region's inputs, in their order, shape (m, ...).
         memories: derivatives of the history of each region.
         widths: distance of each parameter's neighbours, shape (m,).
-        experiments: derivatives of the inputs from the experiment; None: zero.
+        experiments: derivatives of the inputs from the experiment.
+        geometries: equations around each parameter of the geometry, else None.
 
     Attributes:
         force: derivatives of the force on the tool along z, N per unit of the parameter, shape (m,).
@@ -301,12 +212,13 @@ class SolidSensitivity:
 
     def __init__(self, equations: SolidEquations, input_rates: Sequence[Sequence[np.ndarray]],
                  memories: Sequence[HistoryDerivatives], widths: np.ndarray,
-                 experiments: Sequence[ExperimentDerivatives] | None = None):
-        self._equations, self._memories, self._half = equations, memories, _WIDTH * widths
+                 experiments: Sequence[ExperimentDerivatives], geometries: Sequence[NeighbourEquations | None]):
+        self._equations, self._memories = equations, memories
+        self._half = np.where([each is None for each in geometries], _WIDTH, _GEOMETRY_WIDTH) * widths
         self._regions = range(len(memories))
         m, n = widths.size, equations.contact.nodes.size
         #: Derivatives of the friction of face, shaft and base, shape (3, m).
-        self._frictions = np.array([each[:3] for each in experiments or [ExperimentDerivatives()] * m]).reshape(m, 3).T
+        self._frictions = np.array([each[:3] for each in experiments]).reshape(m, 3).T
         #: For each parameter and region: input arrays and their derivatives.
         self._inputs = [[[(array, rate[k]) for array, rate in zip(region.inputs, rates, strict=True) if rate[k].any()]
                          for region, rates in zip(equations.tissue.region_material_arrays, input_rates, strict=True)]
@@ -314,14 +226,18 @@ class SolidSensitivity:
         self.vector = np.zeros((m, 3))
         self.force = self.vector[:, 2]
         #: Derivatives of: the anchors, in the frames of their bodies; the undeformed positions relative to the bodies;
-        #: the held nodes in the frame of the tool; its origin, and the undeformed positions, in the frame of the mesh.
+        #: the held nodes in the frame of the tool, and their displacements at the first touch; the origin of the tool,
+        #: and the undeformed positions, in the frame of the mesh.
         self._anchors, self._apart = np.zeros((2, n, 3, m))
-        self._held = np.zeros((equations.held_dofs.size // 3, 3, m))
+        self._held, self._held_motion = np.zeros((2, equations.held_dofs.size // 3, 3, m))
         self._origin, self._undeformed = np.zeros((3, m)), np.zeros((*equations.mesh.nodes.shape, m))
-        self._stretch, self._motion = np.zeros(m), np.zeros((equations.x.size, m))
+        self._motion = np.zeros((equations.x.size, m))
+        self._meshes = [None if near is None else MeshDerivative.from_neighbours(equations, near)
+                        for near in geometries]
+        self._shapes = ToolShapeDerivatives(equations.contact, geometries)
+        self._shape = self._shapes.differentiate(np.zeros((n, 3)), equations.first_frame)
         self._laws: LawDerivativesByPositionSlipForce | None = None
         self._added, self._sparse = np.zeros((n, 3, 3)), SparseSolver()
-        self._stretched: list[tuple[np.ndarray, np.ndarray]] = []
         self._kinds, self._changed = np.zeros((5, n), dtype=bool), False
 
     @classmethod
@@ -336,15 +252,26 @@ class SolidSensitivity:
             neighbours: see `tissue_sim.fem.solver.Neighbours`.
             experiments: derivatives of the inputs from the experiment; None: zero.
         """
-        def set_material_and_copy_inputs(material: Material) -> list[list[np.ndarray]]:
-            """Set a material, and return copies of the arrays that it sets, for each region."""
-            equations.set_material(material)
-            return [[array.copy() for array in (*region.inputs, region.memory.past)] for region in regions]
+        def copy_inputs(near: SolidEquations) -> list[list[np.ndarray]]:
+            """Return copies of the arrays that depend on the material, for each region."""
+            return [[array.copy() for array in (*region.inputs, region.memory.past)]
+                    for region in near.tissue.region_material_arrays]
 
         regions, here = equations.tissue.region_material_arrays, equations.material
+        experiments = experiments or [ExperimentDerivatives()] * len(neighbours)
+        geometries: list[NeighbourEquations | None] = []
+        sides, relaxations = [], []
         try:
-            sides = [(set_material_and_copy_inputs(more), set_material_and_copy_inputs(less)) for more, less,
-                     _ in neighbours]
+            for (more, less, width), experiment in zip(neighbours, experiments, strict=True):
+                near, both, series = experiment.neighbour_solvers, [], []
+                for material, side in zip((more, less), near or (None, None), strict=True):
+                    at = equations if side is None else side.equations
+                    at.set_material(material)
+                    both.append(copy_inputs(at))
+                    series.append([region.relaxation(material) for region in at.tissue.region_material_arrays])
+                sides.append(both)
+                relaxations.append(series)
+                geometries.append(near and NeighbourEquations(near[0].equations, near[1].equations, width))
         finally:
             equations.set_material(here)
         widths = np.array([width for *_, width in neighbours])
@@ -352,28 +279,31 @@ class SolidSensitivity:
         for number, region in enumerate(regions):
             arrays = (*region.inputs, region.memory.past)
             found = [np.zeros((widths.size, *array.shape)) for array in arrays]
-            for k, (more, less) in enumerate(sides):
-                for rate, above, below in zip(found, more[number], less[number], strict=True):
+            for k, (high, low) in enumerate(sides):
+                for rate, above, below in zip(found, high[number], low[number], strict=True):
                     rate[k] = (above - below) / widths[k]
             rates.append(found[:-1])
-            relaxations = [(region.relaxation(more), region.relaxation(less)) for more, less, _ in neighbours]
-            memories.append(HistoryDerivatives(region.memory, found[-1], relaxations, widths))
-        return cls(equations, rates, memories, widths, experiments)
+            memories.append(HistoryDerivatives(region.memory, found[-1], [
+                (more[number], less[number]) for more, less in relaxations], widths))
+        return cls(equations, rates, memories, widths, experiments, geometries)
 
     def set_first_touch_derivatives(self, start: FirstTouchDerivatives) -> None:
         """Set the derivatives of the state of the first touch, before the first step."""
         equations, contact, first = self._equations, self._equations.contact, self._equations.first_frame
-        self._stretch[:] = start.stretch
-        self._stretched = (equations.batches.array_pairs_with_log_height_derivatives if start.stretch.any()
-                           else [])
-        self._undeformed[:, 2] = equations.mesh.nodes[:, 2, None] * start.stretch
+        if start.stretch.any():
+            stretched = MeshDerivative.from_logarithm_of_height(equations)
+            self._meshes = [stretched.scale(factor) if factor else None for factor in start.stretch]
         self._origin[2] = start.datum
+        for k, mesh in enumerate(self._meshes):
+            if mesh is not None:
+                self._undeformed[:, :, k] = mesh.nodes
+                self._origin[2, k] += mesh.datum
         self._apart[:] = self._undeformed[contact.nodes]
         if start.lift is not None:
             self._apart[contact.moves, 2] -= start.lift[contact.nodes[contact.moves]]
         # The base is under the lowest nodes.
         self._apart[contact.moves] -= self._origin
-        self._apart[~contact.moves, 2] -= equations.mesh.nodes[:, 2].min() * start.stretch
+        self._apart[~contact.moves, 2] -= self._undeformed[np.argmin(equations.mesh.nodes[:, 2]), 2]
         if start.settled is not None:
             motion, anchors, *remembered = start.settled
             self._motion[:] = motion.T
@@ -386,8 +316,9 @@ class SolidSensitivity:
             _, here, there = np.intersect1d(np.where(contact.moves, -1, contact.nodes), start.resting,
                                             return_indices=True)
             self._anchors[here] = np.moveaxis(anchors, 0, -1)[there]
-        places = self._undeformed + self._motion.reshape(self._undeformed.shape)
-        self._held[:] = turned @ (places[equations.held_dofs[::3] // 3] - self._origin)
+        held = equations.held_dofs[::3] // 3
+        self._held_motion[:] = self._motion.reshape(self._undeformed.shape)[held]
+        self._held[:] = turned @ (self._undeformed[held] + self._held_motion - self._origin)
 
     @property
     def state_derivatives(self) -> list[np.ndarray]:
@@ -422,14 +353,18 @@ class SolidSensitivity:
         for each in self._memories:
             each.compute_inherited_derivatives()
         rates = np.stack([self._differentiate_forces_by_one_parameter(k) for k in range(m)], axis=1)
-        follows = frame.rotation @ self._held + self._origin - self._undeformed[equations.held_dofs[::3] // 3]
-        self._laws = LawDerivativesByPositionSlipForce.make_from_differences_or_none(
-            equations.contact, equations.x.reshape(-1, 3)[equations.contact.nodes], frame)
+        # Without rounding errors while the tool does not turn: no force would be their reference.
+        follows = self._held_motion + (frame.rotation - equations.first_frame.rotation) @ self._held
+        displacement = equations.x.reshape(-1, 3)[equations.contact.nodes]
+        self._laws = LawDerivativesByPositionSlipForce.make_from_differences_or_none(equations.contact, displacement,
+                                                                                     frame)
+        self._shape = self._shapes.differentiate(displacement, frame)
         motion, forces = self._solve_displacement_and_force_derivatives(rates, follows.reshape(-1, m))
         held = -(rates + self._multiply_by_tissue_tangent(motion))[equations.held_dofs].reshape(-1, 3, m)
         self.vector[:] = held.sum(axis=0).T + forces[equations.contact.moves].sum(axis=0).T
         self._update_history_rates(motion)
-        self._anchors = state.differentiate_anchors(self._select_contact_rows(motion) + self._apart, self._anchors)
+        self._anchors = state.differentiate_anchors(self._select_contact_rows(motion) + self._apart, self._anchors,
+                                                    self._shape)
         self._motion = motion
         for each in aside:
             each.end_shift_from_kink()
@@ -440,11 +375,12 @@ class SolidSensitivity:
         acting = {number: [(array, rate) for array,
                            rate in self._get_material_input_and_derivative_pairs(k, number) if rate.any()]
                   for number in self._regions}
-        stretched, tissue = self._get_mesh_input_and_derivative_pairs(k), self._equations.tissue
-        regions = [number for number in self._regions if acting[number] or stretched]
-        directions = [*stretched, *chain(*acting.values())]
+        mesh, tissue = self._meshes[k], self._equations.tissue
+        regions = [number for number in self._regions if acting[number] or mesh is not None]
+        directions = [*self._get_mesh_input_and_derivative_pairs(k), *chain(*acting.values())]
         forces, = self._differentiate_assembly_along_direction(k, regions, directions, [tissue.batches.residual])
-        forces[2:-1:3] += tissue.specific_weight * self._stretch[k] * tissue.batches.volumes
+        if mesh is not None:
+            forces[2:-1:3] += tissue.specific_weight * mesh.volumes
         return forces[:-1]
 
     def _update_history_rates(self, motion: np.ndarray) -> None:
@@ -464,7 +400,8 @@ class SolidSensitivity:
 
     def _get_mesh_input_and_derivative_pairs(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return pairs (input array that depends on the undeformed mesh, its derivative by parameter k)."""
-        return [(array, self._stretch[k] * rate) for array, rate in self._stretched] if self._stretch[k] else []
+        mesh = self._meshes[k]
+        return [] if mesh is None else mesh.inputs
 
     def _differentiate_assembly_along_direction(self, k: int, regions: Sequence[int],
                                                 directions: Sequence[tuple[np.ndarray, np.ndarray]],
@@ -544,7 +481,7 @@ class SolidSensitivity:
             of the laws, N, shape (n, 3, m) each.
         """
         state, against = self._equations.contact.state, self._select_contact_rows(motion) + self._apart
-        found, missing = state.differentiate_forces_and_residuals(against, self._anchors, forces,
+        found, missing = state.differentiate_forces_and_residuals(against, self._anchors, self._shape, forces,
                                                                   self._select_friction_derivatives())
         acting = found + missing
         if self._laws is not None:

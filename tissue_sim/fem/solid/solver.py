@@ -325,6 +325,12 @@ class SolidSolver(KernelOwner, Solver):
         wrench = cast("Screw", tuple((np.array(last.wrench) - more).tolist()))
         return PredictedForceOfNextStep(wrench, _to_matrix_tuples(np.array(last.step_stiffness_matrix) + stiffer))
 
+    @property
+    def differentiates_geometry(self) -> bool:
+        """See `Solver.differentiates_geometry`; False with self-weight, layers, contact laws and curved tops."""
+        return (self._start_rates is None and not self.tissue.specific_weight and not self.material.layers
+                and not self.contact.laws and self.placement is not None and self.placement.is_level)
+
     def enable_force_derivatives(self, neighbours: Neighbours,
                                  experiments: Sequence[ExperimentDerivatives] | None = None) -> SolidSensitivity | None:
         """See `Solver.enable_force_derivatives`; None with point effects."""
@@ -336,8 +342,9 @@ class SolidSolver(KernelOwner, Solver):
         self._derivatives = SolidSensitivity.from_perturbed_materials(self.equations, neighbours, experiments)
         self.restore(saved)
         self.equations.restore_committed_state()
-        if start is not None:
-            self._derivatives.set_first_touch_derivatives(start)
+        if neighbours:
+            self._derivatives.set_first_touch_derivatives(
+                start or FirstTouchDerivatives.from_undeformed_specimen(np.zeros(len(neighbours))))
         return self._derivatives
 
     def reset_to_first_touch(self) -> None:

@@ -223,6 +223,9 @@ class FirstTouchHeightAndSolverMaker:
         touch_height: returns the height of the scene's origin at which a tool at a pose touches, m; raises InputError
             outside of the top.
         remake: returns the solver for a first touch at a pose, or None if no solver can be made; None: never remake.
+
+    Attributes:
+        is_level: whether the top is flat and has not settled.
     """
 
     def __init__(self, places: np.ndarray, pairs: Sequence[ContactPair], datum: float, is_level: bool,
@@ -231,7 +234,7 @@ class FirstTouchHeightAndSolverMaker:
         profiles = [pair.profile for pair in pairs if pair.moves][-1:]
         self.radius = max((float(each.vertices[:, 0].max()) + each.rounding for each in profiles), default=0.0)
         self._highest = float(places[:, 2].max()) - datum
-        self._datum, self._is_level, self._margin = datum, is_level, margin
+        self._datum, self.is_level, self._margin = datum, is_level, margin
         self._touch_height, self._remake = touch_height, remake
 
     @property
@@ -254,7 +257,7 @@ class FirstTouchHeightAndSolverMaker:
         lowest = z - self.radius * sine - self._highest
         if lowest > 0.0:
             return lowest
-        if self._is_level and sine == 0.0 and self._margin(x, y) >= self.radius:
+        if self.is_level and sine == 0.0 and self._margin(x, y) >= self.radius:
             return z
         try:
             return z + self._datum - self._touch_height(Pose((x, y, 0.0), pose.orientation))
