@@ -9,12 +9,13 @@ derivative of the displacements is solved with the tangent at the converged stat
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass
 from itertools import chain
 
 import numpy as np
 
-from tissue_sim.fem.history import MaterialMemory, RelaxationSofteningCoefficient
+from tissue_sim.fem.history import MaterialMemory, RelaxationSofteningCoefficient, shift_points_from_softening_kink
 from tissue_sim.fem.linear.sparse import SparseSolver
 from tissue_sim.fem.solid.contact import ToolFrame
 from tissue_sim.fem.solid.equations import SolidEquations
@@ -22,24 +23,6 @@ from tissue_sim.fem.solid.law_sensitivity import LawDerivativesByPositionSlipFor
 from tissue_sim.fem.solid.shape_sensitivity import MeshDerivative, NeighbourEquations, ToolShapeDerivatives
 from tissue_sim.fem.solver import ExperimentDerivatives, Neighbours
 from tissue_sim.material.viscoelasticity import Prony
-
-
-@dataclass(frozen=True)
-class SofteningKinkSettings:
-    """Distances from the kink of a softening law, where the energy density of a point reaches its largest value so far.
-
-    Attributes:
-        tie: relative distance below which the energy density and its largest value are equal, 1.
-        below: relative distance below the largest value within which a difference could cross the kink, 1.
-        beyond: relative distance above the largest value within which a difference could cross the kink, 1.
-    """
-
-    tie: float = 1e-7
-    below: float = 1e-5
-    beyond: float = 1e-4
-
-
-_KINK = SofteningKinkSettings()
 
 
 class HistoryDerivatives:
@@ -64,7 +47,6 @@ class HistoryDerivatives:
         self._before, self._largest = np.zeros(shape), np.zeros(shape[:-1])
         self._internal = np.zeros((m, *memory.internal.shape))
         self.inherited = np.zeros_like(self._before)
-        self._kept: list[tuple[np.ndarray, np.ndarray]] = []
         self._decays, self._gains = np.zeros((2, m, len(memory.internal)))
 
     @property
@@ -90,31 +72,6 @@ class HistoryDerivatives:
             self.inherited[k] = (np.tensordot(decay, self._internal[k], 1)
                                  + np.tensordot(self._decays[k], memory.internal, 1)
                                  - gain.sum() * self._before[k] - self._gains[k].sum() * memory.before)
-
-    def begin_shift_from_kink(self) -> bool:
-        """Shift points near their largest energy density away from the kink there, until `end_shift_from_kink`.
-
-        Differences must not cross the kink. Points under increasing load are treated as on first load, which changes no
-        force; for others `SofteningKinkSettings.below` of the largest value is added to it.
-
-        Returns:
-            Whether there are such points; the forces must then be assembled again.
-        """
-        memory = self.memory
-        self._kept = []
-        if memory.works and memory.past[RelaxationSofteningCoefficient.LOSS] != 0.0:
-            largest, more = memory.largest, memory.energies - memory.largest
-            near = (largest > 0.0) & (more >= -_KINK.below * largest) & (more <= _KINK.beyond * largest)
-            if near.any():
-                self._kept = [(array, array.copy()) for array in (largest, memory.stresses, memory.energies)]
-                aside = np.where(more >= -_KINK.tie * largest, 0.0, (1.0 + _KINK.below) * largest)
-                largest[near] = aside[near]
-        return bool(self._kept)
-
-    def end_shift_from_kink(self) -> None:
-        """Restore the values before `begin_shift_from_kink`."""
-        for array, before in self._kept:
-            array[:] = before
 
     def get_input_and_derivative_pairs(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return pairs (history array that the assembly reads, its derivative with respect to parameter k)."""
@@ -145,9 +102,9 @@ class HistoryDerivatives:
 
 #: Half width of the differences in units of the distance of the neighbours, which is 1e-6 of the parameter.
 _WIDTH = 10.0
-#: The same for parameters of the geometry, whose neighbours have a distance of 1e-5 of the parameter. The error of a
-#: difference increases with K/mu times the square of its width.
-_GEOMETRY_WIDTH = 0.1
+#: The same for parameters of the geometry. The error of these differences increases with K/mu times the square of their
+#: width.
+_GEOMETRY_WIDTH = 1.0
 
 
 @dataclass(frozen=True)
@@ -340,18 +297,26 @@ class SolidSensitivity:
         Args:
             frame: frame of the tool.
         """
-        equations, m = self._equations, self._half.size
+        equations = self._equations
         state = equations.contact.state
         self._changed |= not np.array_equal(state.discrete_contact_flags, self._kinds)
         self._kinds = state.discrete_contact_flags
-        if not m:
+        if not self._half.size:
             return
         residual = equations.batches.residual.copy()
-        aside = [each for each in self._memories if each.begin_shift_from_kink()]
-        if aside:
-            equations.assemble_and_get_least_volume_ratio()
-        for each in self._memories:
-            each.compute_inherited_derivatives()
+        with ExitStack() as shifted:
+            moved = [shifted.enter_context(shift_points_from_softening_kink(each.memory)) for each in self._memories]
+            if any(moved):
+                equations.assemble_and_get_least_volume_ratio()
+            for each in self._memories:
+                each.compute_inherited_derivatives()
+            self._differentiate_equations(frame)
+        equations.batches.residual[:] = residual
+
+    def _differentiate_equations(self, frame: ToolFrame) -> None:
+        """Update the derivatives of force, displacements, history and anchors."""
+        equations, m = self._equations, self._half.size
+        state = equations.contact.state
         rates = np.stack([self._differentiate_forces_by_one_parameter(k) for k in range(m)], axis=1)
         # Without rounding errors while the tool does not turn: no force would be their reference.
         follows = self._held_motion + (frame.rotation - equations.first_frame.rotation) @ self._held
@@ -366,9 +331,6 @@ class SolidSensitivity:
         self._anchors = state.differentiate_anchors(self._select_contact_rows(motion) + self._apart, self._anchors,
                                                     self._shape)
         self._motion = motion
-        for each in aside:
-            each.end_shift_from_kink()
-        equations.batches.residual[:] = residual
 
     def _differentiate_forces_by_one_parameter(self, k: int) -> np.ndarray:
         """Return d forces / d parameter k at constant displacements, N per unit, shape (freedoms,)."""
