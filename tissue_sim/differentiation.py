@@ -72,17 +72,17 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
                   one_sided: bool = False) -> Sensitivities:
     """Simulate a test and compute the derivatives of its force.
 
-    Derivatives with respect to parameters of the material, to coefficients of friction and, with ``solver="solid"``, to
-    the height of a cylinder are exact, with the exceptions below: the equations of every converged step are
-    differentiated implicitly, with history, slip and stick anchors. The bulk response is held as the material states
-    it: `bulk.bulk_ratio` if it is a ratio, `bulk.K_Pa` if it is a modulus.
+    Derivatives with respect to parameters of the material, to coefficients of friction and to sizes of specimen, tool
+    and layers are exact, with the exceptions below: the equations of every converged step are differentiated
+    implicitly, with history, slip and stick anchors. The bulk response is held as the material states it:
+    `bulk.bulk_ratio` if it is a ratio, `bulk.K_Pa` if it is a modulus.
 
     Derivatives are central differences of two simulations at the relative distance
     `FiniteDifferenceSettings.simulation_width`, one-sided at the end of a range, in these cases:
 
-    - other parameters of experiment, rig or mesh, which include the thickness of a layer;
-    - a coefficient of friction of zero; a parameter of drainage while ``phi`` is zero;
-    - the height of a specimen with self-weight or layers, with a contact law, or of incompressible tissue;
+    - other parameters of experiment and rig, such as the position of the tool and the angle of a cone;
+    - a coefficient of friction or a size of zero; a parameter of drainage while ``phi`` is zero;
+    - sizes with self-weight or a contact law; in the solid also with layers or a curved top;
     - all parameters with a compliant rig, a tilted tool, partial slip or additional effects of the material;
     - all parameters with a solver without derivatives for the test: the axisymmetric solver with self-weight, adhesion
       or another contact law; the solid with a contact law under a plate, or on a curved top with the height as placed.

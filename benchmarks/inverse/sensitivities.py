@@ -1,8 +1,8 @@
-"""Cost of derivatives by material and friction: CPU time of a simulated test with over without derivatives.
+"""Cost of derivatives with respect to material, friction and sizes: CPU time with derivatives over without them.
 
-The two run in turns on the same mesh. Printed are the whole extra cost per parameter, and what one parameter more costs
-(from the difference between all and one). ``--solid``: of the solid in space, of several materials, that weighs, and
-with adhesion.
+The two run in turns on the same mesh. Printed are the whole extra cost per parameter, and the cost of one further
+parameter (from the difference between all and one). ``--solid``: tests of the solid in space, with several materials,
+weight and adhesion.
 """
 
 # One thread each, before the libraries start.
@@ -27,6 +27,7 @@ STUDY = {"C10": 1404.9, "C20": 699.4}
 SPECIMEN = ts.Specimen(0.040, 0.070)
 ELASTIC = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4))
 FRICTION = ["experiment.friction", "experiment.friction_base"]
+SIZES = ["experiment.specimen.radius", "experiment.specimen.height", "experiment.tool.radius"]
 RELAXING = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4),
                        viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0), ts.PronyTerm(0.1, 10.0))))
 
@@ -43,6 +44,11 @@ def cases():
            ELASTIC, FRICTION)
     yield ("coefficients of friction 0.3, ramp, hold, unload",
            ts.Experiment(SPECIMEN, cycle, friction=0.3, friction_base=0.3), RELAXING, FRICTION)
+    yield "sizes, plates, friction 0.1, ramp", ts.Experiment(
+        SPECIMEN, ramp, friction=0.1, friction_base=0.1), ELASTIC, SIZES[:2]
+    yield "sizes, needle, ramp", ts.Experiment(SPECIMEN, ramp, ts.Tool("flat", 8e-3)), ELASTIC, SIZES
+    yield "sizes, round needle, friction 0.3, ramp", ts.Experiment(
+        SPECIMEN, ramp, ts.Tool("round", 8e-3), friction=0.3), ELASTIC, SIZES
     yield "needle, ramp", ts.Experiment(SPECIMEN, ramp, ts.Tool("flat", 8e-3)), ELASTIC, law
     yield "bonded, ramp, hold, unload", ts.Experiment(SPECIMEN, cycle), RELAXING, time
     yield ("friction 0.3, ramp, hold, unload", ts.Experiment(SPECIMEN, cycle, friction=0.3, friction_base=0.3),
@@ -63,6 +69,9 @@ def cases_in_space():
            [*law, "regions.lump.C10", "regions.lump.C20"])
     yield ("coefficients of friction", ts.Experiment(ts.Specimen(0.04, 0.05), ramp, friction=0.3, friction_base=0.2),
            ELASTIC, FRICTION)
+    yield "sizes, bonded needle", ts.Experiment(ts.Specimen(0.04, 0.05), ramp, flat), ELASTIC, SIZES
+    yield ("sizes, round needle, friction 0.3",
+           ts.Experiment(ts.Specimen(0.04, 0.05), ramp, ts.Tool("round", 8e-3), friction=0.3), ELASTIC, SIZES)
     yield "weight", ts.Experiment(heavy, ramp, flat), ELASTIC, law
     yield "weight, height as placed", ts.Experiment(placed, ramp, flat), ELASTIC, law
     yield ("weight, a Prony term", ts.Experiment(heavy, ramp, flat), replace(ELASTIC, viscoelastic=prony),

@@ -348,7 +348,8 @@ class Solver(ToolInAirInterface, ABC):
         if not _has_argument(cls.enable_force_derivatives, "experiments"):
             if "exact_experiment_parameters" not in vars(cls):
                 cls.exact_experiment_parameters = frozenset()
-            cls.differentiates_geometry = False
+            # A property of the class is replaced by a constant of the subclass.
+            cls.differentiates_geometry = False  # type: ignore[method-assign, assignment]
 
     @property
     def differentiates_geometry(self) -> bool:

@@ -101,9 +101,9 @@ class ShapeDerivative:
         for own, other in zip((*equations.batches.centre_rows, *equations.batches.centre_inverse),
                               (*neighbour.batches.centre_rows, *neighbour.batches.centre_inverse), strict=True):
             other[:] = own
-        memory, other = equations.memory, neighbour.memory
+        memory, near = equations.memory, neighbour.memory
         if memory.works:
-            other.past[:], other.inherited[:], other.largest[:] = memory.past, memory.inherited, memory.largest
+            near.past[:], near.inherited[:], near.largest[:] = memory.past, memory.inherited, memory.largest
 
 
 def add_shape_derivatives(derivatives: dict[int, ShapeDerivative], equations: EquilibriumEquations,
