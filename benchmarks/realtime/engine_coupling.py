@@ -43,13 +43,21 @@ def main() -> None:
     parser = option_parser(__doc__)
     parser.add_argument("--part", nargs="+", choices=list(PARTS), default=list(PARTS), help="parts to measure")
     parser.add_argument("--figure", type=Path, metavar="PATH", help="draw the parts arm and flex into this file")
+    parser.add_argument("--specimen", nargs="+", choices=[test.name for test in engine_arm.TESTS],
+                        help="specimens of the part arm; all if not given")
+    parser.add_argument("--seconds", type=float, default=engine_arm.SECONDS,
+                        help="simulated time of the part arm, s; the holds become longer")
     options = parser.parse_args()
+    if not options.seconds > engine_arm.MOTION_TIME:
+        parser.error(f"--seconds must be more than {engine_arm.MOTION_TIME:g}; got {options.seconds:g}.")
     if options.figure and not {"arm", "flex"} <= set(options.part):
         parser.error("--figure needs the parts arm and flex.")
     missing = [name for name in ENGINE_PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
         raise SystemExit(f"{' and '.join(missing)} must be installed; use pip install tissue_sim[mujoco,newton].")
-    result = about("engine_coupling", ENGINE_PACKAGES) | {part: PARTS[part]() for part in options.part}
+    arguments = {"arm": {"specimens": options.specimen, "seconds": options.seconds}}
+    result = about("engine_coupling", ENGINE_PACKAGES) | {
+        part: PARTS[part](**arguments.get(part, {})) for part in options.part}
     if options.figure:
         draw_figure(result["arm"], result["flex"], options.figure)
     show(result, draw, as_json=options.json)
