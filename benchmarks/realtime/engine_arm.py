@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -26,6 +26,7 @@ class ArmTest:
         box: box of the reduced solid, larger than the motion.
         depth: of the tip, m.
         sideways: displacement of the tip to the side, m, along (0.8, 0.6).
+        hold: time of each of the `HOLDS` holds, s.
     """
 
     name: str
@@ -33,13 +34,14 @@ class ArmTest:
     box: ts.PoseBox
     depth: float
     sideways: float
+    hold: float = 0.2
 
     @property
     def corners(self) -> np.ndarray:
         """Corners of the path of the tip, m, and times of the motion to each, s, shape (n, 4)."""
-        x, y, z = 0.8 * self.sideways, 0.6 * self.sideways, -self.depth
-        return np.array([(0.0, 0.0, self.depth / 6.0, 0.0), (0.0, 0.0, z, 1.2), (0.0, 0.0, z, 0.2), (x, y, z, 0.8),
-                         (x, y, z, 0.2), (0.0, 0.0, 0.0, 1.2), (0.0, 0.0, 0.0, 0.2)])
+        x, y, z, hold = 0.8 * self.sideways, 0.6 * self.sideways, -self.depth, self.hold
+        return np.array([(0.0, 0.0, self.depth / 6.0, 0.0), (0.0, 0.0, z, 1.2), (0.0, 0.0, z, hold), (x, y, z, 0.8),
+                         (x, y, z, hold), (0.0, 0.0, 0.0, 1.2), (0.0, 0.0, 0.0, hold)])
 
 
 def make_model(specimen: ts.Specimen, depth: float, bulk_ratio: float) -> ts.Model:
@@ -55,6 +57,12 @@ TESTS = (ArmTest("60 x 20 mm", make_model(ts.Specimen(0.030, 0.020), 3e-3, 1e3),
          ArmTest("80 x 70 mm", make_model(ts.Specimen(0.040, 0.070), 10e-3, 1e4),
                  ts.PoseBox(sideways=6.5e-3, depth=12e-3, turn=math.radians(2.0)), 10e-3, 5e-3))
 
+#: Number of holds of a path.
+HOLDS = 3
+#: Time of the motions of a path without holds, s.
+MOTION_TIME = 3.2
+#: Simulated time of a run, s.
+SECONDS = 3.8
 #: Step of the engine, s.
 STEP = 2e-3
 #: Every how many poses of a run the quasi-static solid is solved offline.
@@ -196,6 +204,13 @@ def measure_test(test: ArmTest) -> list[dict]:
     return [*rows, compare_with_offline(test, "multirate", run, "off", SPARSE)]
 
 
-def measure_arm() -> list[dict]:
-    """Return the comparisons of all tests."""
-    return [row for test in TESTS for row in measure_test(test)]
+def measure_arm(specimens: list[str] | None = None, seconds: float = SECONDS) -> list[dict]:
+    """Return the comparisons of the tests.
+
+    Args:
+        specimens: names of the tests; None: all.
+        seconds: simulated time of a run, s, more than `MOTION_TIME`; the holds last the rest in equal parts.
+    """
+    hold = (seconds - MOTION_TIME) / HOLDS
+    return [row for test in TESTS if specimens is None or test.name in specimens
+            for row in measure_test(replace(test, hold=hold))]

@@ -6,7 +6,7 @@
 - ``cycle``: tools move into an elastic tissue and back; the net work of the tissue must vanish.
 - ``arm``: an arm in MuJoCo presses, shears and leaves a solid; its forces are compared with those of the same path
   without coupling. It takes about half an hour.
-- ``flex``: force over depth of the coupled tissue and of MuJoCo's flex.
+- ``soft_body``: force over depth of the coupled tissue, of MuJoCo's flex and of Newton's VBD.
 
 MuJoCo and Newton must be installed (`tissue_sim[mujoco]`, `tissue_sim[newton]`).
 """
@@ -25,15 +25,15 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import about, option_parser, show, table
-from benchmarks.realtime import engine_arm, engine_flex, engine_tools
+from benchmarks.realtime import engine_arm, engine_soft_body, engine_tools
 from benchmarks.realtime.engine_tools import ENGINES, MASSES, SERVOS, STEPS
 
 #: Packages of the engines.
 ENGINE_PACKAGES = ("mujoco", "newton")
 #: Functions that measure the parts.
 PARTS = {"stability": engine_tools.measure_stability, "cycle": engine_tools.measure_cycles,
-         "arm": engine_arm.measure_arm, "flex": engine_flex.measure_flex}
-#: Depths of the table of the flex, mm.
+         "arm": engine_arm.measure_arm, "soft_body": engine_soft_body.measure_soft_bodies}
+#: Depths of the table of the soft bodies, mm.
 TABLE_DEPTHS = (0.5, 1, 2, 3, 4, 5, 7.5, 10)
 #: Colours that colour-blind readers can distinguish (Okabe and Ito).
 COLOURS = ("#0072B2", "#D55E00", "#E69F00", "#009E73", "#CC79A7")
@@ -42,22 +42,30 @@ COLOURS = ("#0072B2", "#D55E00", "#E69F00", "#009E73", "#CC79A7")
 def main() -> None:
     parser = option_parser(__doc__)
     parser.add_argument("--part", nargs="+", choices=list(PARTS), default=list(PARTS), help="parts to measure")
-    parser.add_argument("--figure", type=Path, metavar="PATH", help="draw the parts arm and flex into this file")
+    parser.add_argument("--figure", type=Path, metavar="PATH", help="draw the parts arm and soft_body into this file")
+    parser.add_argument("--specimen", nargs="+", choices=[test.name for test in engine_arm.TESTS],
+                        help="specimens of the part arm; all if not given")
+    parser.add_argument("--seconds", type=float, default=engine_arm.SECONDS,
+                        help="simulated time of the part arm, s; the holds become longer")
     options = parser.parse_args()
-    if options.figure and not {"arm", "flex"} <= set(options.part):
-        parser.error("--figure needs the parts arm and flex.")
+    if not options.seconds > engine_arm.MOTION_TIME:
+        parser.error(f"--seconds must be more than {engine_arm.MOTION_TIME:g}; got {options.seconds:g}.")
+    if options.figure and not {"arm", "soft_body"} <= set(options.part):
+        parser.error("--figure needs the parts arm and soft_body.")
     missing = [name for name in ENGINE_PACKAGES if importlib.util.find_spec(name) is None]
     if missing:
         raise SystemExit(f"{' and '.join(missing)} must be installed; use pip install tissue_sim[mujoco,newton].")
-    result = about("engine_coupling", ENGINE_PACKAGES) | {part: PARTS[part]() for part in options.part}
+    arguments = {"arm": {"specimens": options.specimen, "seconds": options.seconds}}
+    result = about("engine_coupling", ENGINE_PACKAGES) | {
+        part: PARTS[part](**arguments.get(part, {})) for part in options.part}
     if options.figure:
-        draw_figure(result["arm"], result["flex"], options.figure)
+        draw_figure(result["arm"], result["soft_body"], options.figure)
     show(result, draw, as_json=options.json)
 
 
 def draw(result: dict, console) -> None:
     for part, draw_part in (("stability", draw_stability), ("cycle", draw_cycles), ("arm", draw_arm),
-                            ("flex", draw_flex)):
+                            ("soft_body", draw_soft_bodies)):
         if part in result:
             draw_part(result[part], console)
 
@@ -99,15 +107,18 @@ def draw_arm(rows: list[dict], console) -> None:
 
 def compute_force_errors(curves: list[dict], depths: np.ndarray) -> list[np.ndarray]:
     """Return the error of the force of each curve against the first at depths in m, 1."""
-    forces = [np.array([engine_flex.get_force(curve, depth) for depth in depths]) for curve in curves]
+    forces = [np.array([engine_soft_body.get_force(curve, depth) for depth in depths]) for curve in curves]
     return [each / forces[0] - 1.0 for each in forces]
 
 
-def draw_flex(curves: list[dict], console) -> None:
+def draw_soft_bodies(curves: list[dict], console) -> None:
     errors = compute_force_errors(curves, 1e-3 * np.array(TABLE_DEPTHS))
-    table(console, "force error, %, by depth, mm", ["", "E, Pa", *(f"{depth:g}" for depth in TABLE_DEPTHS), "ended"],
+    table(console, "force error, %, by depth, mm", ["", "E, Pa", *(f"{depth:g}" for depth in TABLE_DEPTHS),
+                                                         "ended", "steps", "CPU ms of a step"],
           [[curve["name"], f"{curve['young']:.0f}" if "young" in curve else "-",
-            *("-" if np.isnan(error) else f"{100 * error:+.1f}" for error in row), curve["ended"] or "10 mm"]
+            *("-" if np.isnan(error) else f"{100 * error:+.1f}" for error in row), curve["ended"] or "10 mm",
+            f"{np.median(curve['steps']):.0f}" if curve.get("steps") else "-",
+            f"{1e3 * curve['step_cpu_s']:.0f}" if "step_cpu_s" in curve else "-"]
            for curve, row in zip(curves[1:], errors[1:], strict=True)])
 
 
@@ -128,15 +139,19 @@ def draw_figure(rows: list[dict], curves: list[dict], path: Path) -> None:
             title="Arm in MuJoCo, coupled and offline")
     arm.legend(fontsize=7, frameon=False, ncols=2, loc="upper center")
     depths = np.linspace(0.5e-3, 10e-3, 96)
-    for curve, error, colour in zip(curves, compute_force_errors(curves, depths), ("black", *COLOURS), strict=False):
-        order = np.argsort(curve["depths"])
+    colours = {"axisymmetric": "black"}
+    for curve, error in zip(curves, compute_force_errors(curves, depths), strict=True):
+        group = ", ".join(curve["name"].split(", ")[:2])
+        colour = "black" if curve is curves[0] else colours.setdefault(group, COLOURS[len(colours) - 1])
         line = {"color": colour, "linestyle": "--" if "best" in curve["name"] else "-"}
-        forces.plot(1e3 * np.array(curve["depths"])[order], np.array(curve["forces"])[order], label=curve["name"],
-                    **line)
+        order = np.argsort(curve["depths"])
+        forces.plot(1e3 * np.array(curve["depths"])[order], np.array(curve["forces"])[order],
+                    label=None if "best" in curve["name"] else curve["name"], **line)
         if curve is not curves[0]:
             errors.plot(1e3 * depths, 100.0 * error, **line)
         if curve["ended"]:
             forces.plot(1e3 * curve["depths"][-1], curve["forces"][-1], "x", color=colour)
+    forces.plot([], [], "--", color="0.5", label="dashed: best E at 2 mm")
     forces.plot(1e3 * np.array(curves[0]["other_depths"]), curves[0]["other_forces"], "o", color="black",
                 fillstyle="none", label="another program, quadratic tetrahedra")
     forces.set(xlabel="depth [mm]", ylabel="force [N]", xlim=(0.0, 10.0), ylim=(0.0, 3.3),

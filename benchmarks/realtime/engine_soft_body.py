@@ -1,10 +1,12 @@
-"""Force over depth of a punch in MuJoCo: the coupled tissue and MuJoCo's own soft body."""
+"""Force over depth of a punch: the coupled tissue in MuJoCo, and the soft bodies of MuJoCo and Newton."""
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import math
 import tempfile
+from itertools import product
 
 import numpy as np
 
@@ -14,13 +16,15 @@ from benchmarks.realtime.engine_tools import NEEDLE, RESOLUTION, run_mujoco
 from benchmarks.realtime.multirate import mesh_of
 from tissue_sim.mesh.sections import subdivide_into_tetrahedra
 
-#: Depths of the flex, m.
+#: Modules that press the soft body of an engine, by its name.
+ENGINES = {"flex": "benchmarks.peers.solid_peers_mujoco", "VBD": "benchmarks.peers.solid_peers_newton"}
+#: Depths of the soft bodies, m.
 DEPTHS = np.arange(1, 21) * 0.5e-3
-#: Depth at which Young's modulus of the flex is fitted, m.
+#: Depth at which Young's modulus of the soft bodies is fitted, m.
 FIT_DEPTH = 2e-3
-#: Mesh of the flex, a key of `multirate.MESHES`.
+#: Mesh of the soft bodies, a key of `multirate.MESHES`.
 MESH = 3300
-#: Longest wall time of the flex for a depth, s.
+#: Longest wall time of a soft body for a depth, s.
 LONGEST = 60.0
 #: Target of the coupled tool at the end, m.
 LAST_TARGET = 11.5e-3
@@ -28,20 +32,22 @@ LAST_TARGET = 11.5e-3
 PRESS_TIME = 3.0
 
 
-def compute_flex_curve(poisson: float, young: float) -> dict:
-    """Return depths, m, forces, N, and the reason for which the flex ended."""
-    from benchmarks.peers.solid_peers_mujoco import pressed
-
+def compute_engine_curve(engine: str, poisson: float, young: float) -> dict:
+    """Return depths, m, forces, N, the cost of a step, and the reason for which the soft body of an engine ended."""
+    peer = importlib.import_module(ENGINES[engine])
     mesh = mesh_of(MESH)
     corners = mesh.connectivity[:, mesh.element.local_corner_indices]
     # MuJoCo writes its log into the current folder.
     with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        found = pressed({"nodes": mesh.nodes, "tetrahedra":
-                         corners[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4), "depths": DEPTHS,
-                         "base": mesh.sets["base"], "face": mesh.sets["face"], "young": young, "poisson": poisson,
-                         "seconds": LONGEST})
+        found = peer.pressed({"nodes": mesh.nodes, "tetrahedra":
+                              corners[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4),
+                              "depths": DEPTHS, "base": mesh.sets["base"], "face": mesh.sets["face"], "young": young,
+                              "poisson": poisson, "seconds": LONGEST})
+    rows = found["rows"]
     return {"young": young, "poisson": poisson, "ended": found["ended"],
-            "depths": [row["depth"] for row in found["rows"]], "forces": [row["force"] for row in found["rows"]]}
+            "depths": [row["depth"] for row in rows], "forces": [row["force"] for row in rows],
+            "steps": [row["steps"] for row in rows],
+            "step_cpu_s": float(np.median([row["step_cpu_s"] for row in rows])) if rows else math.nan}
 
 
 def compute_coupled_curve() -> dict:
@@ -54,23 +60,23 @@ def compute_coupled_curve() -> dict:
             "forces": [force[1] for force in motion.applied], "ended": ""}
 
 
-def measure_flex() -> list[dict]:
+def measure_soft_bodies() -> list[dict]:
     """Return the curves with a name each; the first is the reference.
 
-    The forces of the flex at rest are proportional to Young's modulus, so that its best modulus at one depth follows
-    from the force at this depth. The flex is run again with this modulus.
+    The forces of the soft bodies at rest are proportional to Young's modulus, so that the best modulus at one depth
+    follows from the force at this depth. The soft body is run again with this modulus.
     """
     reference = truth()
     curves = [{"name": "axisymmetric, accurate", **reference, "ended": ""},
               {"name": "coupled tissue in MuJoCo", **compute_coupled_curve()}]
-    for poisson in RATIOS:
+    for engine, poisson in product(ENGINES, RATIOS):
         young = 2.0 * STUDY.mu0 * (1.0 + poisson)
-        same = compute_flex_curve(poisson, young)
-        curves.append({"name": f"flex, nu {poisson:g}, same E", **same})
+        same = compute_engine_curve(engine, poisson, young)
+        curves.append({"name": f"{engine}, nu {poisson:g}, same E", **same})
         if same["depths"] and same["depths"][-1] > 0.99 * FIT_DEPTH:
             ratio = get_force(reference, FIT_DEPTH) / get_force(same, FIT_DEPTH)
-            curves.append({"name": f"flex, nu {poisson:g}, best E at {1e3 * FIT_DEPTH:g} mm",
-                           **compute_flex_curve(poisson, young * ratio)})
+            curves.append({"name": f"{engine}, nu {poisson:g}, best E at {1e3 * FIT_DEPTH:g} mm",
+                           **compute_engine_curve(engine, poisson, young * ratio)})
     return curves
 
 
