@@ -251,11 +251,14 @@ class TestLightTool:
         expected = 1e-6 * (answers[3].stiffness / 4 + 16 / 9 * (answers[3].step_stiffness - answers[3].stiffness))
         assert answers[3].least_tool_mass == pytest.approx(expected) and expected > 1e-3
 
-    def test_a_light_tool_comes_to_rest(self):
+    @pytest.mark.parametrize(("looks_ahead", "remedy"), [
+        (False, "Use looks_ahead=True with an implicit coupling"), (True, "Use a smaller step")])
+    def test_a_light_tool_comes_to_rest(self, looks_ahead, remedy):
         """2 g on a servo of 500 N/m, coupled explicitly."""
-        sim, mass, rate, dt, depth, speed = needle(inertia="auto"), 0.002, 500.0, 1e-3, -1e-3, 0.0
+        sim, mass, rate, dt, depth, speed = needle(
+            inertia="auto", looks_ahead=looks_ahead), 0.002, 500.0, 1e-3, -1e-3, 0.0
         damping, felt = 2.0 * math.sqrt(rate * mass), []
-        with pytest.warns(LightToolWarning, match=r"tool lighter than [4-7]\.?\d* g") as warned:
+        with pytest.warns(LightToolWarning, match=rf"tool lighter than [4-7]\.?\d* g .*{remedy}") as warned:
             for tick in range(400):
                 felt.append(sim.step(depth, dt).force)
                 aim = min(-1e-3 + 0.05 * tick * dt, 3e-3)

@@ -260,18 +260,18 @@ class LightToolWarning(UserWarning):
     """A tool that is coupled explicitly is too light for the tissue that moves with it."""
 
 
-def issue_light_tool_warning(least_mass: float) -> None:
-    """Warn that the tool reverses its motion in every step (`LightToolWarning`).
-
-    The remedies in the warning are an implicit coupling with looks_ahead=True, inertia='off', or a heavier tool.
+def issue_light_tool_warning(least_mass: float, *, looks_ahead: bool) -> None:
+    """Warn that the tool reverses its motion in every step (`LightToolWarning`), with the remedies.
 
     Args:
         least_mass: `ToolForce.least_tool_mass` of the last step, kg.
+        looks_ahead: whether the simulator predicts the force of the next step, so that the coupling may be implicit.
     """
+    remedies = ("Use a smaller step, check that the coupling has the mass of the tool" if looks_ahead
+                else "Use looks_ahead=True with an implicit coupling")
     warnings.warn(LightToolWarning(
         f"the tool reverses its motion in every step, as a tool lighter than {1e3 * least_mass:.2g} g does if coupled "
-        "by pose and force. Use looks_ahead=True with an implicit coupling, inertia='off', or a heavier tool; see "
-        "docs/realtime.md."), stacklevel=2)
+        f"by pose and force. {remedies}, use inertia='off', or a heavier tool; see docs/realtime.md."), stacklevel=2)
 
 
 @dataclass(slots=True)

@@ -276,7 +276,7 @@ class PathFollowingTissue(RealTimeTissue):
         self._motion_check.register_translation_and_detect_oscillation(x, y, z, dt, is_fast)
         if self._motion_check.quiet == 0.0 and self._equilibrium.inertial and not self._has_warned:
             self._has_warned = True
-            issue_light_tool_warning(self._answer.least_tool_mass)
+            issue_light_tool_warning(self._answer.least_tool_mass, looks_ahead=self.looks_ahead)
 
     @property
     def _is_tool_unloaded(self) -> bool:
