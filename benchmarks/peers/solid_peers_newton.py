@@ -9,10 +9,13 @@ double precision.
 from __future__ import annotations
 
 import time
+from typing import TYPE_CHECKING
 
-import newton
 import numpy as np
 import warp as wp
+
+if TYPE_CHECKING:
+    import newton
 
 #: Time step, s. The steps are implicit, so that long steps come to rest.
 STEP = 0.02
@@ -50,6 +53,9 @@ def compute_nodal_forces(nodes: np.ndarray, tetrahedra: np.ndarray, positions: n
 
 def make_solver(job: dict, mu: float, lame: float) -> newton.solvers.SolverVBD:
     """Return the solver of a cylinder whose base and face have prescribed positions."""
+    wp.config.quiet = True  # before Newton is imported, which prints otherwise
+    import newton
+
     builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
     builder.add_soft_mesh(pos=wp.vec3(0.0, 0.0, 0.0), rot=wp.quat_identity(), scale=1.0, vel=wp.vec3(0.0, 0.0, 0.0),
                           vertices=[wp.vec3(*node) for node in job["nodes"].tolist()],

@@ -129,20 +129,22 @@ def draw_figure(rows: list[dict], curves: list[dict], path: Path) -> None:
     figure = Figure(figsize=(11.0, 3.8), layout="constrained")
     arm, forces, errors = figure.subplots(1, 3)
     rows = [row for row in rows if row["specimen"] == rows[0]["specimen"]]
+    peak = rows[0]["peak_force"]
     for axis, name, colour in ((2, "z", COLOURS[0]), (0, "x", COLOURS[1])):
         arm.plot(rows[0]["offline_times"], np.array(rows[0]["offline_forces"])[:, axis], color="0.75", linewidth=6,
                  label=f"F{name}, offline")
         for row, line in zip(rows, ("-", "--", ":"), strict=False):
             arm.plot(row["times"], np.array(row["forces"])[:, axis], line, color=colour,
                      label=f"F{name}, {row['tissue']}")
-    arm.set(xlabel="time [s]", ylabel="force on the arm [N]", ylim=(-0.3, 1.9),
+    arm.set(xlabel="time [s]", ylabel="force on the arm [N]", ylim=(-0.27 * peak, 1.7 * peak),
             title="Arm in MuJoCo, coupled and offline")
     arm.legend(fontsize=7, frameon=False, ncols=2, loc="upper center")
     depths = np.linspace(0.5e-3, 10e-3, 96)
-    colours = {"axisymmetric": "black"}
-    for curve, error in zip(curves, compute_force_errors(curves, depths), strict=True):
-        group = ", ".join(curve["name"].split(", ")[:2])
-        colour = "black" if curve is curves[0] else colours.setdefault(group, COLOURS[len(colours) - 1])
+    # Curves of one soft body with different Young's moduli have one colour.
+    groups = [", ".join(curve["name"].split(", ")[:2]) for curve in curves]
+    colours = dict(zip(dict.fromkeys(groups), ("black", *COLOURS), strict=False))
+    for curve, group, error in zip(curves, groups, compute_force_errors(curves, depths), strict=True):
+        colour = colours[group]
         line = {"color": colour, "linestyle": "--" if "best" in curve["name"] else "-"}
         order = np.argsort(curve["depths"])
         forces.plot(1e3 * np.array(curve["depths"])[order], np.array(curve["forces"])[order],

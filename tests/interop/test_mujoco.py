@@ -67,7 +67,7 @@ def test_a_press_comes_to_rest_at_the_static_equilibrium(simulator, mass, servo,
     assert simulator.step(depth, 0.0).force == pytest.approx(hold[-1], rel=1e-3)
 
 
-@pytest.mark.parametrize(("mass", "dt"), [(0.02, 1e-3), (0.2, 2e-3)])
+@pytest.mark.parametrize(("mass", "dt"), [(0.001, 1e-3), (0.002, 2e-3), (0.02, 1e-3), (0.2, 2e-3)])
 def test_a_closed_motion_does_no_work(simulator, mass, dt):
     model, data = load(mass, dt=dt)
     simulator.reset()
@@ -119,6 +119,31 @@ def test_the_adapter_reads_the_present_pose_and_velocity_of_a_free_body(simulato
     assert momentum(after) == pytest.approx(momentum(before), rel=1e-4)
     assert tissue.coupling.inertia == pytest.approx(tissue.coupling.inertia.T)
     assert np.linalg.eigvalsh(tissue.coupling.inertia) == pytest.approx(np.sort(model.body_inertia[1]))
+    # The tool does not touch the tissue.
+    assert after.velocity == pytest.approx(before.next_velocity, abs=1e-12)
+    assert after.angular_velocity == pytest.approx(before.next_angular_velocity, abs=1e-12)
+
+
+@pytest.mark.parametrize("callback", [None, "control", "passive", "act_dyn"])
+def test_a_callback_of_the_program_is_called_once_for_each_step(simulator, callback):
+    """The step of the copy of the data would call it a second time."""
+    model, data = load()
+    simulator.reset()
+    tissue, calls, seen = ts.MujocoTissue(model, data, body="needle", tissue=simulator), [], []
+    compute = tissue.coupling.compute_wrench
+    tissue.coupling.compute_wrench = lambda state, time: seen.append(state) or compute(state, time)
+    if callback is None:
+        tissue.step()
+        assert seen[0].next_velocity is not None
+        return
+    set_callback = getattr(mujoco, f"set_mjcb_{callback}")
+    set_callback(lambda *arguments: calls.append(float(data.time)) or 0.0)
+    try:
+        tissue.step()
+    finally:
+        set_callback(None)
+    assert seen[0].next_velocity is None
+    assert calls.count(0.0) <= 1
 
 
 @pytest.mark.parametrize("mass", [0.0, 1e-4, 0.01])

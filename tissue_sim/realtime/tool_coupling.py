@@ -77,6 +77,11 @@ class RigidBodyState:
         center_of_mass: position of the centre of mass, m.
         velocity: velocity of the centre of mass, m/s.
         angular_velocity: rad/s, components along the axes of the world.
+        next_velocity: velocity of the centre of mass, m/s, at the end of the next step of the engine if the wrench of
+            the last step acts again; None: it is extrapolated from the last steps.
+        next_angular_velocity: angular velocity at that time, rad/s; given together with `next_velocity`.
+        mobility: derivative of these two velocities with respect to the impulse of a force at the centre of mass and of
+            a torque, components along the axes of the world, shape (6, 6); None: that of the free body.
     """
 
     position: Sequence[float]
@@ -84,6 +89,9 @@ class RigidBodyState:
     center_of_mass: Sequence[float]
     velocity: Sequence[float]
     angular_velocity: Sequence[float]
+    next_velocity: Sequence[float] | None = None
+    next_angular_velocity: Sequence[float] | None = None
+    mobility: Any = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,16 +163,17 @@ class ToolCoupling:
     deepest point of the tool, and its z axis points from the tip to the handle.
 
     **Scheme.** Let `F(x)` be the wrench of the tissue at the tool, `k` its stiffness, `dt` the step of the engine, `V`
-    the twist of the tool, and `A` the mobility of the body at the tip: twist = A times impulse, of the free body. The
-    engine applies one wrench `f` during a step. `f` is the mean of the wrenches at the start and at the end of
+    the twist of the tool, and `A` the mobility of the body at the tip: twist = A times impulse. The engine applies one
+    wrench `f` during a step. `f` is the mean of the wrenches at the start and at the end of
     the step, linearised at the start, so that the work on the tool along a closed path in an elastic tissue vanishes
     to second order in the step:
 
         f = F - C dt V_next,    C = k / 2
         V_next = V* + dt A f,   which gives   (1 + dt^2 C A) f = F - dt C V*
 
-    `V*` is the twist at the end of the step without the tissue. The engine does not state it. It is extrapolated from
-    the acceleration by all other forces in the last two steps, `a = (V - V_before) / dt - A f_before`:
+    `V*` is the twist at the end of the step without the tissue. If the engine computes the twist `V_again` with the
+    last wrench (`RigidBodyState.next_velocity`), `V* = V_again - dt A f_before`. Otherwise it is extrapolated from the
+    acceleration by all other forces in the last two steps, `a = (V - V_before) / dt - A f_before`:
 
         V* = V + dt (a + beta (a - a_before)),    beta = min(1, 1 / q),    q = trace(dt^2 C A)
 
@@ -177,8 +186,8 @@ class ToolCoupling:
     that of the tissue, and `C = k / 2 + r^2 (S - k)`. The explicit coupling `f = F` is unstable if the moving tissue
     has more than a quarter of the mass of the tool (`ToolForce.least_tool_mass`).
 
-    A body in a mechanism is less mobile than the free body (Gauss's principle of least constraint), so that `A` is an
-    upper bound.
+    A body in a mechanism or on a servo is less mobile than the free body (Gauss's principle of least constraint), so
+    that `A` is an upper bound if the engine does not compute it (`RigidBodyState.mobility`).
 
     **First step.** In the first step, and in the first after `reset`, no earlier pose is known: the tissue is stepped
     with dt = 0. A tool that starts inside the tissue is at rest there.
@@ -349,9 +358,23 @@ class ToolCoupling:
             return self._lever, None
         center = to_scene @ (np.array(body.center_of_mass, float) - np.array(self.scene.position))
         lever = np.array(pose.position) - center
-        spin = to_scene @ np.array(body.angular_velocity, float)
-        twist = np.concatenate([to_scene @ np.array(body.velocity, float) - _make_cross_matrix(lever) @ spin, spin])
-        return lever, twist if np.isfinite(twist).all() else None
+        return lever, self._compute_twist_or_none(body.velocity, body.angular_velocity, lever)
+
+    def _compute_twist_or_none(self, velocity: Sequence[float] | None, angular_velocity: Sequence[float] | None,
+                               lever: _Array) -> _Array | None:
+        """Return the twist of the tip in the scene from velocities in the world; None if unknown or not finite.
+
+        Args:
+            velocity: of the centre of mass, m/s; None: unknown.
+            angular_velocity: rad/s; None: unknown.
+            lever: vector from the centre of mass to the tip, m.
+        """
+        if velocity is None or angular_velocity is None:
+            return None
+        to_scene = self._rotation.T
+        spin = to_scene @ np.array(angular_velocity, float)
+        twist = np.concatenate([to_scene @ np.array(velocity, float) - _make_cross_matrix(lever) @ spin, spin])
+        return twist if np.isfinite(twist).all() else None
 
     def _compute_implicit_wrench(self, answer: ToolForce, twist: _Array | None, body: RigidBodyState, lever: _Array,
                                  dt: float, parts: int) -> _Array:
@@ -383,27 +406,41 @@ class ToolCoupling:
         implicit_stiffness = _project_to_positive_semidefinite(implicit_stiffness)
         mobility = self._compute_mobility(body, lever)
         product = dt * dt * implicit_stiffness @ mobility
+        again = self._compute_twist_or_none(body.next_velocity, body.next_angular_velocity, lever)
+        free_twist = (self._extrapolate_free_twist(twist, mobility, float(np.trace(product)), dt) if again is None else
+                      again - dt * mobility @ self._wrench)
+        return np.asarray(np.linalg.solve(np.eye(6) + product, wrench - dt * implicit_stiffness @ free_twist),
+                          np.float64)
+
+    def _extrapolate_free_twist(self, twist: _Array, mobility: _Array, added_mass: float, dt: float) -> _Array:
+        """Return the twist at the end of the next step without the tissue, extrapolated from the last two steps.
+
+        Args:
+            twist: present twist.
+            mobility: of the body at the tip.
+            added_mass: `q` of the class.
+            dt: length of the step, s.
+        """
         # If the last twist is unknown, the body is assumed to keep its velocity.
         acceleration = (0.0 if self._twist is None else (twist - self._twist) / dt) - mobility @ self._wrench
         change = acceleration - (acceleration if self._acceleration is None else self._acceleration)
         self._acceleration = acceleration
-        beta = min(1.0, 1.0 / max(float(np.trace(product)), 1e-12))
-        free_twist = twist + dt * (acceleration + beta * change)
-        return np.asarray(np.linalg.solve(np.eye(6) + product, wrench - dt * implicit_stiffness @ free_twist),
-                          np.float64)
+        return np.asarray(twist + dt * (acceleration + min(1.0, 1.0 / max(added_mass, 1e-12)) * change), np.float64)
 
     def _compute_mobility(self, body: RigidBodyState, lever: _Array) -> _Array:
-        """Return the mobility of the free body at the tip, shape (6, 6): twist over impulse, in the scene."""
+        """Return the mobility of the body at the tip, shape (6, 6): twist over impulse, in the scene."""
         assert self.mass is not None
-        mobility = np.zeros((6, 6))
-        inverse = np.zeros((3, 3))
-        if self.inertia is not None:
-            rotation = self._rotation.T @ np.array(_make_body_pose(body).rotation_matrix)
-            inverse = rotation @ self._inverse_inertia @ rotation.T
-        arm = -_make_cross_matrix(lever)  # angular velocity x lever = arm @ angular velocity
-        mobility[:3, :3] = np.eye(3) / self.mass + arm @ inverse @ arm.T
-        mobility[:3, 3:], mobility[3:, :3], mobility[3:, 3:] = arm @ inverse, inverse @ arm.T, inverse
-        return mobility
+        mobility, to_tip = np.zeros((6, 6)), np.eye(6)
+        to_tip[:3, 3:] = -_make_cross_matrix(lever)  # angular velocity x lever
+        if body.mobility is not None:
+            turn = np.kron(np.eye(2), self._rotation)
+            mobility[:] = turn.T @ np.asarray(body.mobility, float) @ turn
+        else:
+            mobility[:3, :3] = np.eye(3) / self.mass
+            if self.inertia is not None:
+                rotation = self._rotation.T @ np.array(_make_body_pose(body).rotation_matrix)
+                mobility[3:, 3:] = rotation @ self._inverse_inertia @ rotation.T
+        return to_tip @ mobility @ to_tip.T
 
     def reset(self) -> None:
         """Return to the untouched tissue; call it when the engine is reset. The next step is a first step."""

@@ -19,6 +19,10 @@ if TYPE_CHECKING:
 
 #: Names and sizes of the user sensors that the adapter writes if the model has them.
 SENSORS = {"tissue_wrench": 6, "tissue_status": 1, "tissue_error": 1}
+#: Change of velocity by the test forces of the mobility, if the body is free, m/s.
+TEST_SPEED = 1e-2
+#: Ratio of test torques to test forces, m.
+TEST_ARM = 1e-2
 #: Value of the sensor ``tissue_error`` for an unknown error, N.
 UNKNOWN_ERROR = -1.0
 
@@ -43,6 +47,9 @@ class MujocoTissue:
             body.
         limits: see `CouplingLimits`.
         real_time: whether the simulation keeps up with the wall clock, see `ToolCoupling`.
+        predicts_motion: whether the motion of the tool in a step is predicted by steps of a copy of the data: one in
+            the air, seven in contact. Controls must then be set before `apply`. False: the motion is extrapolated, as
+            also with a control, passive or actuator callback; tools lighter than the moving tissue then gain energy.
 
     Attributes:
         coupling: the coupling, with its last wrench.
@@ -55,9 +62,10 @@ class MujocoTissue:
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData, *, body: str, tissue: Tissue,
                  scene: str | Pose = "tissue", tip: str | Pose = "tip", limits: CouplingLimits | None = None,
-                 real_time: bool = False):
+                 real_time: bool = False, predicts_motion: bool = True):
         self._mujoco = _import_mujoco()
         self.model, self.data = model, data
+        self._ahead = self._mujoco.MjData(model) if predicts_motion else None
         named = self._find("body", body)
         # A body without joints moves with its parent: masses of all bodies that are welded together count.
         weld = int(model.body_weldid[named])
@@ -65,7 +73,7 @@ class MujocoTissue:
         if model.opt.integrator == self._mujoco.mjtIntegrator.mjINT_RK4:
             raise InputError("must be 'Euler', 'implicitfast', 'implicit' or 'discrete'; got 'RK4', whose four stages "
                              "would use the force of the start of the step.", field="integrator")
-        self._update_kinematics()
+        self._update_kinematics(data)
         mass, inertia, self._center = self._sum_masses_of_welded_bodies(weld)
         self.coupling = ToolCoupling(
             tissue, scene=self._find_fixed_site(scene) if isinstance(scene, str) else scene,
@@ -76,17 +84,11 @@ class MujocoTissue:
 
     def apply(self) -> BodyWrench:
         """Compute the wrench for the present state, write it to ``xfrc_applied`` and the sensors, and return it."""
-        self._update_kinematics()
         data, body = self.data, self._body
-        velocity = np.zeros(6)
-        # Angular velocity, then the velocity at the centre of mass of this body alone, axes of the world.
-        self._mujoco.mj_objectVelocity(self.model, data, self._mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
-        center = data.xpos[body] + data.xmat[body].reshape(3, 3) @ self._center
-        offset = center - data.xipos[body]
-        linear = velocity[3:] + np.cross(velocity[:3], offset)
+        center, offset, linear, angular = self._compute_motion(data)
         wrench = self.coupling.compute_wrench(
             RigidBodyState(data.xpos[body].tolist(), data.xquat[body].tolist(), center.tolist(), linear.tolist(),
-                           velocity[:3].tolist()), float(data.time))
+                           angular.tolist(), *self._predict_motion(offset)), float(data.time))
         data.xfrc_applied[body, :3] = wrench.force
         data.xfrc_applied[body, 3:] = wrench.torque + np.cross(offset, wrench.force)
         self._write_sensors(wrench)
@@ -117,11 +119,57 @@ class MujocoTissue:
         other = object.__new__(type(self))
         other.__dict__.update(self.__dict__)
         other.data, other.coupling = data, self.coupling.clone()
+        other._ahead = None if self._ahead is None else self._mujoco.MjData(self.model)
         return other
 
-    def _update_kinematics(self) -> None:
+    def _compute_motion(self, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return centre of mass, its vector from the centre of mass of `_body` alone, velocity, angular velocity."""
+        body, velocity = self._body, np.zeros(6)
+        self._update_kinematics(data)
+        # Angular velocity, then the velocity at the centre of mass of this body alone, axes of the world.
+        self._mujoco.mj_objectVelocity(self.model, data, self._mujoco.mjtObj.mjOBJ_BODY, body, velocity, 0)
+        center = data.xpos[body] + data.xmat[body].reshape(3, 3) @ self._center
+        offset = center - data.xipos[body]
+        return center, offset, velocity[3:] + np.cross(velocity[:3], offset), velocity[:3]
+
+    def _predict_motion(self, offset: np.ndarray) -> tuple[Any, ...]:
+        """Return velocities after the next ``mj_step`` with the last wrench, and the mobility in this step.
+
+        Nothing is predicted with callbacks of the program, which must not be called for a step that does not take
+        place. Without a wrench the mobility is not computed.
+
+        Args:
+            offset: vector from the centre of mass of `_body` alone to that of the welded bodies, m.
+        """
+        library, mass = self._mujoco, self.coupling.mass
+        if self._ahead is None or mass is None or any(get() is not None for get in (
+                library.get_mjcb_control, library.get_mjcb_passive, library.get_mjcb_act_dyn)):
+            return ()
+        applied = self.data.xfrc_applied[self._body]
+        again = self._step_ahead(applied)
+        _, _, linear, angular = self._compute_motion(self._ahead)
+        if not applied.any():
+            return linear.tolist(), angular.tolist(), None
+        time_step, jacobian, to_body = self.model.opt.timestep, np.zeros((6, self.model.nv)), np.eye(6)
+        library.mj_jac(self.model, self.data, jacobian[:3], jacobian[3:], self.data.xipos[self._body] + offset,
+                       self._body)
+        to_body[3:, :3] = np.cross(offset, np.eye(3)).T  # torque of a force at the centre of the welded bodies
+        sizes = TEST_SPEED / time_step * mass * np.repeat([1.0, TEST_ARM], 3)
+        changes = [self._step_ahead(applied + wrench) - again for wrench in (to_body * sizes).T]
+        return linear.tolist(), angular.tolist(), jacobian @ np.transpose(changes) / (time_step * sizes)
+
+    def _step_ahead(self, wrench: np.ndarray) -> np.ndarray:
+        """Return ``qvel`` after an ``mj_step`` of a copy of the data with a wrench, shape (nv,)."""
+        ahead = self._ahead
+        assert ahead is not None
+        self._mujoco.mj_copyData(ahead, self.model, self.data)
+        ahead.xfrc_applied[self._body] = wrench
+        self._mujoco.mj_step(self.model, ahead)
+        return np.array(ahead.qvel)
+
+    def _update_kinematics(self, data: mujoco.MjData) -> None:
         """Compute poses and velocities of the present state; ``mj_step`` leaves those of the start of its step."""
-        library, model, data = self._mujoco, self.model, self.data
+        library, model = self._mujoco, self.model
         library.mj_kinematics(model, data)
         library.mj_comPos(model, data)
         library.mj_comVel(model, data)
