@@ -211,6 +211,23 @@ def test_a_planner_runs_a_clone_with_a_copy_of_the_data(simulator):
     assert planned.tolist() == done.tolist()
 
 
+def test_a_restored_state_of_physics_gets_the_same_forces(simulator):
+    """``mjSTATE_FULLPHYSICS`` does not contain ``xfrc_applied``."""
+    model, data = load(0.002)
+    simulator.reset()
+    tissue = ts.MujocoTissue(model, data, body="needle", tissue=simulator)
+    run(tissue, lambda t: -min(0.05 * t, 3e-3), 0.1)
+    kind = mujoco.mjtState.mjSTATE_FULLPHYSICS
+    physics, saved = np.zeros(mujoco.mj_stateSize(model, kind)), tissue.save()
+    mujoco.mj_getState(model, data, physics, kind)
+    first, _ = run(tissue, lambda t: -4e-3, 0.05)
+    mujoco.mj_resetData(model, data)
+    mujoco.mj_setState(model, data, physics, kind)
+    tissue.restore(saved)
+    again, _ = run(tissue, lambda t: -4e-3, 0.05)
+    assert again.tolist() == first.tolist()
+
+
 def test_two_tissues_act_on_two_bodies_of_one_model(simulator):
     model = mujoco.MjModel.from_xml_string("""<mujoco><option timestep="1e-3" gravity="0 0 0"/><worldbody>
       <site name="left"/><site name="right" pos="1 0 0"/>

@@ -145,7 +145,10 @@ class MujocoTissue:
         if self._ahead is None or mass is None or any(get() is not None for get in (
                 library.get_mjcb_control, library.get_mjcb_passive, library.get_mjcb_act_dyn)):
             return ()
-        applied = self.data.xfrc_applied[self._body]
+        # A restored state of MuJoCo may not contain ``xfrc_applied``.
+        last, applied = self.coupling.last, np.zeros(6)
+        if last is not None:
+            applied[:3], applied[3:] = last.force, last.torque + np.cross(offset, last.force)
         again = self._step_ahead(applied)
         _, _, linear, angular = self._compute_motion(self._ahead)
         if not applied.any():
