@@ -19,12 +19,19 @@ from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1
 from tissue_sim.specimen.block import Block
 from tissue_sim.specimen.cylinder import Cylinder
 
-RADIUS, HEIGHT = "experiment.specimen.radius", "experiment.specimen.height"
-LENGTH, WIDTH = "experiment.specimen.length", "experiment.specimen.width"
-TOOL, EDGE = "experiment.tool.radius", "experiment.tool.edge_radius"
-CYLINDER, BLOCK = ts.Specimen(0.04, 0.05), Block(0.09, 0.08, 0.05)
-FLAT, ROUNDED, ROUND = ts.Tool("flat", 8e-3), ts.Tool("flat", 8e-3, edge_radius=2e-3), ts.Tool("round", 8e-3)
-BALL, CONE = ts.Tool("sphere", 8e-3), ts.Tool("cone", radius=8e-3, half_angle=math.radians(60.0), tip_radius=1e-3)
+RADIUS = "experiment.specimen.radius"
+HEIGHT = "experiment.specimen.height"
+LENGTH = "experiment.specimen.length"
+WIDTH = "experiment.specimen.width"
+TOOL = "experiment.tool.radius"
+EDGE = "experiment.tool.edge_radius"
+CYLINDER = ts.Specimen(0.04, 0.05)
+BLOCK = Block(0.09, 0.08, 0.05)
+FLAT = ts.Tool("flat", 8e-3)
+ROUNDED = ts.Tool("flat", 8e-3, edge_radius=2e-3)
+ROUND = ts.Tool("round", 8e-3)
+BALL = ts.Tool("sphere", 8e-3)
+CONE = ts.Tool("cone", radius=8e-3, half_angle=math.radians(60.0), tip_radius=1e-3)
 OBLIQUE = ts.Approach(5e-3, math.radians(20.0))
 PRONY = ts.Prony((ts.PronyTerm(0.3, 2.0),), "long_term")
 #: Loading, hold and unloading, mm.

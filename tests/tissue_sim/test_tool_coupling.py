@@ -268,6 +268,26 @@ def test_the_step_after_a_lost_state_has_the_force_of_the_pose(lost):
     assert forces[-1] == pytest.approx(forces[-2] + 0.6, abs=0.01)
 
 
+@pytest.mark.parametrize("predicted", ["next_velocity", "next_angular_velocity", "mobility"])
+def test_a_predicted_motion_that_is_not_finite_never_reaches_the_engine(predicted):
+    coupling, forces = ToolCoupling(LinearTissue(3000.0), mass=0.02), []
+    for tick in range(10):
+        at, stated = (0.0, 0.0, -2e-4 * tick), {
+            "next_velocity": (0.0, 0.0, -0.2), "next_angular_velocity": (0.0, 0.0, 0.0), "mobility": np.eye(6) / 0.02}
+        stated[predicted] = np.full_like(stated[predicted], math.nan)
+        forces.append(coupling.compute_wrench(RigidBodyState(
+            at, (1.0, 0.0, 0.0, 0.0), at, (0.0, 0.0, -0.2), (0.0, 0.0, 0.0), **stated), tick * 1e-3).force[2])
+    assert np.isfinite(forces).all() and forces[-1] > 0.0
+
+
+def test_a_mobility_of_another_shape_is_refused():
+    coupling, at = ToolCoupling(LinearTissue(3000.0), mass=0.02), (0.0, 0.0, -1e-3)
+    state = RigidBodyState(at, (1.0, 0.0, 0.0, 0.0), at, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), mobility=np.eye(3))
+    coupling.compute_wrench(state, 0.0)
+    with pytest.raises(ts.InputError, match=r"mobility: must have the shape \(6, 6\); got \(3, 3\)"):
+        coupling.compute_wrench(state, 1e-3)
+
+
 @pytest.mark.parametrize("part", ["wrench", "stiffness"])
 def test_a_force_that_is_not_finite_never_reaches_the_engine(part):
     class Broken(LinearTissue):

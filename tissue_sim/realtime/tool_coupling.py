@@ -428,11 +428,21 @@ class ToolCoupling:
         return np.asarray(twist + dt * (acceleration + min(1.0, 1.0 / max(added_mass, 1e-12)) * change), np.float64)
 
     def _compute_mobility(self, body: RigidBodyState, lever: _Array) -> _Array:
-        """Return the mobility of the body at the tip, shape (6, 6): twist over impulse, in the scene."""
+        """Return the mobility of the body at the tip, shape (6, 6): twist over impulse, in the scene.
+
+        It is that of the free body if the engine states none, or one that is not finite.
+
+        Raises:
+            InputError: the mobility of the engine has another shape.
+        """
         assert self.mass is not None
+        if body.mobility is not None and np.shape(body.mobility) != (6, 6):
+            raise InputError(f"must have the shape (6, 6); got {np.shape(body.mobility)}. State the derivative of "
+                             "velocity and angular velocity with respect to the impulse of force and torque.",
+                             field="mobility")
         mobility, to_tip = np.zeros((6, 6)), np.eye(6)
         to_tip[:3, 3:] = -_make_cross_matrix(lever)  # angular velocity x lever
-        if body.mobility is not None:
+        if body.mobility is not None and np.isfinite(body.mobility).all():
             turn = np.kron(np.eye(2), self._rotation)
             mobility[:] = turn.T @ np.asarray(body.mobility, float) @ turn
         else:
