@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.exports.abaqus import export
+from tissue_sim.exports import ExportContent
+from tissue_sim.exports.abaqus import ABAQUS
 
 BULK = ts.Bulk("bulk_ratio", 50.0)
 MATERIALS = {
@@ -53,6 +54,10 @@ RF
 U
 *END STEP
 """
+
+
+def export(material):
+    return ABAQUS.write(ExportContent((material,)))
 
 
 def label(text):

@@ -10,7 +10,7 @@ from solid_meshes import block
 
 import tissue_sim as ts
 from scenes.cli import main
-from tissue_sim.exports import EXPORTERS
+from tissue_sim.exports import ExportContent, find_export_target
 from tissue_sim.material.file import make_material_file_from_json_data
 from tissue_sim.mesh.solid_element import TET15P1
 
@@ -99,7 +99,7 @@ def test_what_has_no_regions_says_so():
     with pytest.raises(ts.InputError, match="the mesh has no region 'part:1'; it has no named regions"):
         ts.simulate(model, solver="solid", resolution="realtime")
     with pytest.raises(ts.InputError, match="no form for regions"):
-        EXPORTERS.find("abaqus")(MATERIAL)
+        find_export_target("abaqus").write(ExportContent((MATERIAL,)))
 
 
 @pytest.fixture(scope="module")

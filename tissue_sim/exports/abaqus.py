@@ -9,6 +9,8 @@ from __future__ import annotations
 import re
 
 from tissue_sim.errors import InputError
+from tissue_sim.exports.target import ExportContent, ExportTarget, format_comment_lines
+from tissue_sim.exports.unit_systems import UnitSystem
 from tissue_sim.material.material import Material
 
 #: Number of values on a data line.
@@ -23,39 +25,48 @@ _POLYNOMIALS = {"biderman": 3}
 _SERIES = {"reduced_polynomial": "REDUCED POLYNOMIAL", "ogden": "OGDEN"}
 
 
-def export(material: Material) -> str:
-    """Write a material as ``*MATERIAL`` with ``*HYPERELASTIC``, ``*VISCOELASTIC`` and ``*DENSITY``, SI.
+class AbaqusTarget(ExportTarget):
+    """Keyword block of Abaqus: ``*MATERIAL`` with ``*HYPERELASTIC``, ``*VISCOELASTIC`` and ``*DENSITY``.
 
     The hereditary integral of Abaqus acts on the Kirchhoff stress in the current configuration, that of this package on
     the second Piola-Kirchhoff stress: relaxing forces agree to first order in the strain.
-
-    Raises:
-        InputError: a law or another part of the material has no equivalent in Abaqus.
     """
-    for what, part in (("softening on first load (its Mullins effect has an error function where ours has tanh)",
-                        material.softening), ("layers in a material", material.layers),
-                       ("regions in a material (export each by itself)", material.regions),
-                       ("drainage in this form", material.poroelasticity), ("a puncture", material.puncture),
-                       (f"the effect {next(iter(material.effects), '')!r}", material.effects)):
-        if part:
-            raise InputError(f"Abaqus has no form for {what}; remove it from the material", field="to")
+
+    title = "Abaqus"
+    suffix = ".inp"
+    parts = frozenset({"viscoelastic"})
+    part_remarks = {"softening": "its Mullins effect has an error function where ours has tanh"}
+
+    def write(self, content: ExportContent) -> str:
+        """Return the keyword blocks of the materials."""
+        lines = format_comment_lines(content.remarks, "** ")
+        for label, material in zip(content.labels, content.materials, strict=True):
+            self.require_available_parts(material)
+            lines += _list_material_lines(material, label, content.units)
+        return "\n".join(lines) + "\n"
+
+
+def _list_material_lines(material: Material, label: str, units: UnitSystem) -> list[str]:
+    """Return the lines of one material."""
     moduli = "" if material.viscoelastic is None else material.viscoelastic.moduli.upper().replace("_", " ")
     keyword, terms = _get_law_keyword_and_volumetric_count(material.law)
-    K = material.bulk_modulus
-    volumetric = [0.0] * terms if material.bulk.kind == "incompressible" else [2.0 / K, *[_ABSENT] * (terms - 1)]
     law = material.energy_law
-    own = law.kernel_coefficients(material.values) if law.name in _POLYNOMIALS else material.values
+    factors = [1.0 / units.stress if law.units[name] == "Pa" else 1.0 for name in law.parameters]
+    K = material.bulk_modulus / units.stress
+    volumetric = [0.0] * terms if material.bulk.kind == "incompressible" else [2.0 / K, *[_ABSENT] * (terms - 1)]
+    own = law.kernel_coefficients(material.values) / units.stress if law.name in _POLYNOMIALS else (
+        material.values * factors)
     numbers = [*own, *volumetric]
-    lines = [f"*MATERIAL, NAME={_make_abaqus_label(material)}",
+    lines = [f"*MATERIAL, NAME={label}",
              f"*HYPERELASTIC, {keyword}{moduli and f', MODULI={moduli}'}"]
-    lines += [", ".join(f"{number:.12g}" for number in numbers[i:i + _PER_LINE])
+    lines += [", ".join(f"{number:.15g}" for number in numbers[i:i + _PER_LINE])
               for i in range(0, len(numbers), _PER_LINE)]
     if material.viscoelastic is not None:
         lines.append("*VISCOELASTIC, TIME=PRONY")
-        lines += [f"{term.g:.12g}, 0, {term.tau:.12g}" for term in material.viscoelastic.terms]
+        lines += [f"{term.g:.15g}, 0, {term.tau:.15g}" for term in material.viscoelastic.terms]
     if material.density is not None:
-        lines += ["*DENSITY", f"{material.density:.12g}"]
-    return "\n".join(lines) + "\n"
+        lines += ["*DENSITY", f"{material.density / units.density:.15g}"]
+    return lines
 
 
 def _get_law_keyword_and_volumetric_count(name: str) -> tuple[str, int]:
@@ -70,7 +81,4 @@ def _get_law_keyword_and_volumetric_count(name: str) -> tuple[str, int]:
     raise InputError(f"Abaqus has no keyword for the law {name!r}; write a user subroutine", field="to")
 
 
-def _make_abaqus_label(material: Material) -> str:
-    """Convert a name to a label for Abaqus: letters, digits and underscores, first a letter, at most 80 characters."""
-    label = re.sub(r"\W+", "_", material.name or material.law, flags=re.ASCII).strip("_").upper()[:80]
-    return label if label[:1].isalpha() else f"TISSUE_{label}"[:80]
+ABAQUS = AbaqusTarget()

@@ -6,6 +6,7 @@ from argparse import Namespace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+from scenes.commands.material.export import EXPORT
 from scenes.commands.shared.command import Command, CommandResult, ExitCode
 from scenes.commands.shared.parsing import (
     InputErrorArgumentParser,
@@ -54,13 +55,6 @@ def _add_new_material_flags(new: InputErrorArgumentParser) -> None:
 def _add_material_file(parser: InputErrorArgumentParser) -> None:
     """Add the material file of the other actions."""
     parser.add_argument("file", type=Path, metavar="FILE", help="material file NAME.material.json")
-
-
-def _add_export_flags(export: InputErrorArgumentParser) -> None:
-    """Add the flags of ``material export``."""
-    export.add_argument("--to", required=True, metavar="PROGRAM",
-                        help="abaqus (also read by CalculiX), or a program that an installed package adds")
-    export.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT", help="output file")
 
 
 def _write_new_material(arguments: Namespace) -> CommandResult:
@@ -233,30 +227,6 @@ def _check_material_stability(arguments: Namespace) -> CommandResult:
                          ExitCode.DONE if instability is None else ExitCode.GOAL_MISSED)
 
 
-def _export_material_file(arguments: Namespace) -> CommandResult:
-    """Write a material in the format of another program.
-
-    Raises:
-        InputError: an unknown program, a material without a counterpart there, or an output file that cannot be
-            written.
-    """
-    from tissue_sim import load_material
-    from tissue_sim.exports import EXPORTERS
-    from tissue_sim.files import write_text
-
-    check_output_file(arguments.output, "-o", overwrite=arguments.overwrite)
-    write = EXPORTERS.find(arguments.to, "--to")
-    material = load_material(arguments.file)
-    try:
-        text = write(material)
-    except InputError as error:
-        raise error.with_location(file=arguments.file) from None
-    write_text(arguments.output, text)
-    return CommandResult(lambda: {"file": str(arguments.output), "to": arguments.to},
-                         lambda console: console.print(f"wrote {arguments.output} for {arguments.to}", markup=False,
-                                                       soft_wrap=True))
-
-
 COMMAND = Command(
     "material", "write, print, check and export material files", "tissue-sim material show phantom.material.json",
     actions=(
@@ -270,7 +240,5 @@ COMMAND = Command(
         Command("check", "check a material file; exit code 0: valid, 1: the law is unstable in its valid range, "
                 "2: unreadable", "tissue-sim material check m.material.json", _check_material_stability,
                 needs=(add_json_flag, _add_material_file)),
-        Command("export", "convert a material file to the format of another program",
-                "tissue-sim material export m.material.json --to abaqus -o m.inp", _export_material_file,
-                needs=(add_json_flag, _add_material_file, _add_export_flags, add_overwrite_flag))),
+        EXPORT),
     planned_actions=("import",))

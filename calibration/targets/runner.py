@@ -1,0 +1,122 @@
+"""Contract of a target runner: a test with a rigid tool that another program simulates on a given mesh."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import ClassVar
+
+import numpy as np
+
+from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.exports.elastic_constants import ElasticConstants
+from tissue_sim.material.material import Material
+from tissue_sim.mesh.sections import subdivide_into_tetrahedra
+from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.registry import Registry
+
+#: Function that receives the number of finished positions and the number of all positions.
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True)
+class TargetTest:
+    """Test in another program: mesh, rigid tool, contact and motion. Without gravity.
+
+    Attributes:
+        mesh: mesh of the specimen, with the node sets ``base`` (fixed) and, if `is_bonded`, ``face`` (moved with the
+            tool).
+        tool: rigid tool.
+        positions: positions of the deepest point of the tool, m, shape (positions, 3); the origin is the centre of the
+            undeformed top face, z out of the tissue. The first position does not touch the tissue or touches it
+            without force.
+        is_bonded: whether the face of the tool is bonded to the node set ``face``; otherwise the tool is in contact
+            with `friction`.
+        friction: coefficient of friction of the contact, 1.
+        times: times of the positions, s, shape (positions,); None: quasi-static, so that the program waits for rest at
+            each position.
+        time_step: time step of a program with dynamics, s; None: the choice of the runner.
+        max_seconds: longest wall time of a position, s.
+    """
+
+    mesh: SolidMesh
+    tool: Tool
+    positions: np.ndarray
+    is_bonded: bool = False
+    friction: float = 0.0
+    times: np.ndarray | None = None
+    time_step: float | None = None
+    max_seconds: float = 60.0
+
+    @cached_property
+    def tetrahedra(self) -> np.ndarray:
+        """Linear tetrahedra that fill the elements of the mesh, as indices of nodes, shape (n, 4)."""
+        element = self.mesh.element
+        corners = self.mesh.connectivity[:, element.local_corner_indices]
+        return corners[:, subdivide_into_tetrahedra(element)].reshape(-1, 4)
+
+
+@dataclass(frozen=True)
+class TargetCurve:
+    """Forces of a test in another program, up to the last position that the program reached.
+
+    Attributes:
+        positions: reached positions, m, shape (n, 3).
+        forces: forces on the tool, N, shape (n, 3).
+        ended: reason why the program did not reach all positions, as a sentence; empty if it did.
+        step_seconds: median CPU time of a time step, or of a position in programs without time steps, s.
+        steps: number of time steps of each position, shape (n,).
+        penetrations: largest penetration of nodes into the tool at each position, m, shape (n,); empty: not measured.
+        version: name and version of the program.
+    """
+
+    positions: np.ndarray
+    forces: np.ndarray
+    ended: str = ""
+    step_seconds: float = float("nan")
+    steps: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
+    penetrations: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    version: str = ""
+
+    @property
+    def depths(self) -> np.ndarray:
+        """Depths of the reached positions, m, shape (n,)."""
+        return -self.positions[:, 2]
+
+
+class TargetRunner(ABC):
+    """Program that simulates a `TargetTest`.
+
+    Attributes:
+        title: name of the program and of its method.
+        uses_elastic_constants: whether the program needs `ElasticConstants` instead of the material.
+    """
+
+    title: ClassVar[str]
+    uses_elastic_constants: ClassVar[bool] = True
+
+    @abstractmethod
+    def describe_missing_program(self) -> str:
+        """Return why the program cannot run here, with the remedy; an empty text if it can."""
+
+    @abstractmethod
+    def run(self, test: TargetTest, material: Material | ElasticConstants, progress: Progress | None = None
+            ) -> TargetCurve:
+        """Simulate a test.
+
+        Args:
+            test: test to simulate.
+            material: elastic constants if `uses_elastic_constants`, otherwise a material.
+            progress: receives finished and all positions.
+
+        Raises:
+            InputError: the program is missing, or has no equivalent of a part of the test.
+        """
+
+
+#: Name of an export target -> its runner.
+RUNNERS: Registry[TargetRunner] = Registry("runner of a target", "tissue_sim.target_runners", {},
+                                           accepts=lambda runner: isinstance(runner, TargetRunner),
+                                           expected="an object of a class derived from TargetRunner")

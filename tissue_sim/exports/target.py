@@ -1,0 +1,143 @@
+"""Contract of a target: a program for which materials are written, and from whose files they are read."""
+
+from __future__ import annotations
+
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from tissue_sim.errors import InputError
+from tissue_sim.exports.elastic_constants import ElasticConstants
+from tissue_sim.exports.unit_systems import SI, UNIT_SYSTEMS, UnitSystem
+from tissue_sim.material.material import Material
+from tissue_sim.mesh.solid import SolidMesh
+
+#: Largest number of characters of a label.
+MAX_LABEL_LENGTH = 80
+
+
+@dataclass(frozen=True)
+class ExportContent:
+    """Content of an exported file.
+
+    Attributes:
+        materials: the calibrated material, then variants such as posterior draws; SI.
+        units: unit system of the file.
+        constants: constants of each material, for targets with `ExportTarget.uses_elastic_constants`; same length as
+            `materials`, otherwise empty.
+        remarks: sentences that the file states in comments, such as the force error by depth.
+        mesh: mesh of the specimen, for targets that write one.
+        material_file: JSON data of the calibrated material file, for targets that can carry them.
+    """
+
+    materials: tuple[Material, ...]
+    units: UnitSystem = SI
+    constants: tuple[ElasticConstants, ...] = ()
+    remarks: tuple[str, ...] = ()
+    mesh: SolidMesh | None = None
+    material_file: Mapping[str, Any] | None = None
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Label of each material: letters, digits and underscores; variants have the suffix ``_1``, ``_2``, ..."""
+        first = make_label(self.materials[0])
+        return (first, *(f"{first[:MAX_LABEL_LENGTH - 6]}_{number}" for number in range(1, len(self.materials))))
+
+
+class ExportTarget(ABC):
+    """Program for which materials are written. A subclass states the attributes and defines `write`.
+
+    Attributes:
+        title: name of the program for people, with the version to which the format belongs.
+        suffix: suffix of the written file.
+        verification: how the export is checked: ``"run in the target"`` or ``"formula checked, not run"``.
+        uses_elastic_constants: whether the program has Young's modulus, Poisson's ratio and damping only, so that
+            `ExportContent.constants` replace the law.
+        max_poisson: largest Poisson's ratio of `ExportContent.constants` that the program accepts, 1.
+        parts: of ``"viscoelastic"`` and ``"softening"``, the parts of a material that the program has.
+        part_remarks: name of a missing part -> the difference between the program and this package, for the message.
+        unit_systems: names of the unit systems in which the file can be written.
+    """
+
+    title: ClassVar[str]
+    suffix: ClassVar[str]
+    verification: ClassVar[str] = "formula checked, not run"
+    uses_elastic_constants: ClassVar[bool] = False
+    max_poisson: ClassVar[float] = 0.49
+    parts: ClassVar[frozenset[str]] = frozenset()
+    part_remarks: ClassVar[Mapping[str, str]] = {}
+    unit_systems: ClassVar[tuple[str, ...]] = tuple(UNIT_SYSTEMS)
+
+    @abstractmethod
+    def write(self, content: ExportContent) -> str:
+        """Return the text of the file.
+
+        Raises:
+            InputError: the program has no equivalent of a part of a material.
+        """
+
+    def read(self, text: str, units: UnitSystem) -> tuple[Material, ...]:
+        """Return the materials of a file of the program, SI.
+
+        Args:
+            text: text of the file.
+            units: unit system of the numbers, which the file does not state.
+
+        Raises:
+            InputError: a file that cannot be read, with the line; or a program whose files cannot be imported.
+        """
+        raise InputError(f"files of {self.title} cannot be imported. Use a file of Abaqus, CalculiX or FEBio",
+                         field="--from")
+
+    def require_available_parts(self, material: Material) -> None:
+        """Raise an error if the program has no equivalent of a part of a material.
+
+        Raises:
+            InputError: the material has layers, regions, drainage, puncture, further effects, or relaxation or
+                softening that are not in `parts`.
+        """
+        named = {"viscoelastic": "relaxation (a Prony series)", "softening": "softening on first load"}
+        missing = {f"{name} ({self.part_remarks[part]})" if part in self.part_remarks else name:
+                   part not in self.parts and getattr(material, part) is not None for part, name in named.items()}
+        missing |= {"layers in a material": bool(material.layers),
+                    "regions in a material (export each by itself)": bool(material.regions),
+                    "drainage in this form": material.poroelasticity is not None,
+                    "a puncture": material.puncture is not None,
+                    f"the effect {next(iter(material.effects), '')!r}": bool(material.effects)}
+        for name, is_present in missing.items():
+            if is_present:
+                raise InputError(f"{self.title} has no form for {name}; remove it from the material", field="to")
+
+
+class FunctionTarget(ExportTarget):
+    """Target of a plug-in that is a function from one material, SI, to the text of a file.
+
+    Args:
+        name: name of the target.
+        function: function of the plug-in.
+    """
+
+    suffix = ""
+    verification = "not checked by this package"
+    unit_systems = (SI.name,)
+
+    def __init__(self, name: str, function: Callable[[Material], str]):
+        self.title = name  # type: ignore[misc]
+        self._function = function
+
+    def write(self, content: ExportContent) -> str:
+        """Return the texts of the function for all materials."""
+        return "".join(self._function(material) for material in content.materials)
+
+
+def make_label(material: Material) -> str:
+    """Return a label of a material: letters, digits and underscores, first a letter, at most 80 characters."""
+    label = re.sub(r"\W+", "_", material.name or material.law, flags=re.ASCII).strip("_").upper()[:MAX_LABEL_LENGTH]
+    return label if label[:1].isalpha() else f"TISSUE_{label}"[:MAX_LABEL_LENGTH]
+
+
+def format_comment_lines(remarks: Sequence[str], prefix: str) -> list[str]:
+    """Return remarks as comment lines with a prefix such as ``"** "``."""
+    return [prefix + line for remark in remarks for line in remark.splitlines()]
