@@ -16,6 +16,8 @@ Exporter = ExportTarget | Callable[[Material], str]
 #: Name of the program -> its target.
 EXPORTERS: Registry[Exporter] = Registry("target of an export", "tissue_sim.exporters", {
     "abaqus": "tissue_sim.exports.abaqus:ABAQUS",
+    "felupe": "tissue_sim.exports.felupe:FELUPE",
+    "sofa": "tissue_sim.exports.sofa:SOFA",
 }, accepts=lambda target: isinstance(target, ExportTarget) or callable(target),
     expected="an ExportTarget, or a function from a Material to the text of a file")
 
