@@ -13,7 +13,6 @@ import numpy as np
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.exports.elastic_constants import ElasticConstants
 from tissue_sim.material.material import Material
-from tissue_sim.mesh.sections import subdivide_into_tetrahedra
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.registry import Registry
 
@@ -53,9 +52,7 @@ class TargetTest:
     @cached_property
     def tetrahedra(self) -> np.ndarray:
         """Linear tetrahedra that fill the elements of the mesh, as indices of nodes, shape (n, 4)."""
-        element = self.mesh.element
-        corners = self.mesh.connectivity[:, element.local_corner_indices]
-        return corners[:, subdivide_into_tetrahedra(element)].reshape(-1, 4)
+        return self.mesh.tetrahedra
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ EXPORTERS: Registry[Exporter] = Registry("target of an export", "tissue_sim.expo
     "abaqus": "tissue_sim.exports.abaqus:ABAQUS",
     "felupe": "tissue_sim.exports.felupe:FELUPE",
     "sofa": "tissue_sim.exports.sofa:SOFA",
+    "usd": "tissue_sim.exports.usd:USD",
 }, accepts=lambda target: isinstance(target, ExportTarget) or callable(target),
     expected="an ExportTarget, or a function from a Material to the text of a file")
 

@@ -37,6 +37,11 @@ class UnitSystem:
         return self.force / self.length**2
 
     @property
+    def mass(self) -> float:
+        """One unit of mass, kg: force s^2 / length."""
+        return self.force / self.length
+
+    @property
     def density(self) -> float:
         """One unit of density, kg/m3: force s^2 / length^4."""
         return self.force / self.length**4

@@ -299,11 +299,16 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
         True
     """
     with located_and_converted_errors(file=path):
-        data = msgspec.to_builtins(check_and_convert_material_file_to_si(material_file))
+        data = convert_material_file_to_json_data(material_file)
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     # Lists of numbers on one line: a line break inside brackets is never part of a JSON string.
     text = re.sub(r"\[\n([^\[\]{}\"]*)\n\s*\]", lambda match: f"[{' '.join(match[1].split())}]", text)
     write_text(path, text + "\n")
+
+
+def convert_material_file_to_json_data(material_file: MaterialFile) -> dict[str, Any]:
+    """Check a material file and return it as JSON data, the inverse of `make_material_file_from_json_data`."""
+    return msgspec.to_builtins(check_and_convert_material_file_to_si(material_file))
 
 
 def make_material_file_from_json_data(data: Any) -> MaterialFile:

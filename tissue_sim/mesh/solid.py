@@ -14,6 +14,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.axisymmetric import divide_into_growing_intervals, insert_interfaces_and_refine_layers
 from tissue_sim.mesh.section import Curve, PlanarMesh, make_quarter_circle, make_rectangle_side
+from tissue_sim.mesh.sections import subdivide_into_tetrahedra
 from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, MAX_NODES, TET8P0, TET15P1, Hexahedron, SolidElement
 from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.registry import Registry
@@ -142,6 +143,11 @@ class SolidMesh:
         if self.depths is not None:
             return self.depths
         return -self.nodes[self.connectivity, 2].mean(axis=1)
+
+    @property
+    def tetrahedra(self) -> np.ndarray:
+        """Linear tetrahedra between all nodes of the elements, as node numbers, shape (n, 4)."""
+        return self.connectivity[:, subdivide_into_tetrahedra(self.element)].reshape(-1, 4)
 
     @property
     def surface_node_areas(self) -> np.ndarray:
