@@ -5,6 +5,7 @@ import runpy
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import tissue_sim as ts
 from scenes.cli import main
@@ -60,6 +61,36 @@ def test_stress_of_the_documented_formula_is_ours(name, units):
     assert (error <= 1e-6 * np.abs(expected).max(axis=-1) + 1e-12 * material.mu0).all()
     np.testing.assert_allclose(pressure * units.stress, material.bulk_modulus * np.log(STRETCHES.prod(axis=-1)),
                                rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize(("name", "ratio", "limit"), [("neo_hooke", 50.0, 7e-4), ("neo_hooke", 1e4, 1e-6),
+                                                      ("mooney_rivlin", 1e4, 1e-6)])
+def test_difference_by_the_volumetric_term(name, ratio, limit):
+    """Free uniaxial stress over stretch 0.5 to 2: k0/2 (ln J)^2 and K/2 (J - 1)^2 agree for large K / mu0."""
+    material = ts.Material(name, MATERIALS[name].parameters, ts.Bulk("bulk_ratio", ratio))
+    (arguments,) = parse_arguments(SOFA.write(ExportContent((material,)))).values()
+
+    def compute_ours(stretches):
+        J = np.prod(stretches)
+        tau = material.energy_law.compute_energy_and_kirchhoff_stresses(stretches, material.parameters)[1]
+        return tau + material.bulk_modulus * J * (J - 1.0)
+
+    def compute_theirs(stretches):
+        tau, pressure = compute_sofa_stress(arguments, stretches)
+        return tau + pressure
+
+    def compute_axial_stress(compute, stretch):
+        def make_stretches(lateral):
+            return np.array([stretch, lateral, lateral])
+
+        lateral = brentq(lambda lateral: compute(make_stretches(lateral))[1], 0.5 * stretch**-0.5, 2.0 * stretch**-0.5,
+                         xtol=1e-15, rtol=1e-14)
+        return compute(make_stretches(lateral))[0]
+
+    stretches = [stretch for stretch in np.linspace(0.5, 2.0, 31) if abs(stretch - 1.0) > 1e-9]
+    error = max(abs(compute_axial_stress(compute_theirs, stretch) / compute_axial_stress(compute_ours, stretch) - 1.0)
+                for stretch in stretches)
+    assert error < limit
 
 
 def test_text_states_what_sofa_needs():

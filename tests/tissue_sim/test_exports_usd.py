@@ -135,10 +135,17 @@ def test_parts_that_constants_cannot_replace_are_refused(part, words):
         USD.write(make_content(ts.Material("neo_hooke", {"C10": 1500.0}, **part)))
 
 
-@pytest.mark.parametrize("text", ["no stage", "#usda 1.0\n\ndef Xform \"A\"\n{\n}\n"])
-def test_other_files_are_refused(text):
-    with pytest.raises(ts.InputError):
+@pytest.mark.parametrize(("text", "words"), [("no stage", "must be USD text"),
+                                             ("#usda 1.0\n\ndef Xform \"A\"\n{\n}\n", "exported by tissue_sim")])
+def test_other_files_are_refused(text, words):
+    with pytest.raises(ts.InputError, match=words):
         USD.read(text, SI)
+
+
+def test_damaged_material_is_refused():
+    text = USD.write(make_content(MATERIAL))
+    with pytest.raises(ts.InputError, match="ogden_9"):
+        USD.read(text.replace('"ogden_2"', '"ogden_9"'), SI)
 
 
 def test_missing_package_is_named(monkeypatch):
