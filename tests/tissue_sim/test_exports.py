@@ -60,6 +60,10 @@ def export(material):
     return ABAQUS.write(ExportContent((material,)))
 
 
+def strip_comments(text):
+    return re.sub(r"^\*\*.*\n", "", text, flags=re.MULTILINE)
+
+
 def label(text):
     return re.search(r"NAME=(\w+)", text)[1]
 
@@ -68,15 +72,17 @@ def test_numbers_are_those_of_the_manual():
     material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("K_Pa", 4e6), 1040.0,
                            "brain 3", viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0), ts.PronyTerm(0.1, 40.0)),
                                                             "long_term"))
-    assert export(material) == ("*MATERIAL, NAME=BRAIN_3\n"
+    assert strip_comments(export(material)) == ("*MATERIAL, NAME=BRAIN_3\n"
                                 "*HYPERELASTIC, REDUCED POLYNOMIAL, N=2, MODULI=LONG TERM\n"
                                 "1404.9, 699.4, 5e-07, 1e+20\n"
                                 "*VISCOELASTIC, TIME=PRONY\n0.3, 0, 2\n0.1, 0, 40\n*DENSITY\n1040\n")
     incompressible = export(ts.Material("ogden_3", {"mu1": 1.0, "alpha1": 2.0, "mu2": 3.0, "alpha2": 4.0, "mu3": 5.0,
                                                     "alpha3": 6.0}))
     full = export(ts.Material("biderman", {"C10": 1.0, "C01": 2.0, "C20": 3.0, "C30": 4.0}))
-    assert full == "*MATERIAL, NAME=BIDERMAN\n*HYPERELASTIC, POLYNOMIAL, N=3\n1, 2, 3, 0, 0, 4, 0, 0\n0, 0, 0, 0\n"
-    assert incompressible == "*MATERIAL, NAME=OGDEN_3\n*HYPERELASTIC, OGDEN, N=3\n1, 2, 3, 4, 5, 6, 0, 0\n0\n"
+    assert strip_comments(full) == ("*MATERIAL, NAME=BIDERMAN\n*HYPERELASTIC, POLYNOMIAL, N=3\n"
+                                    "1, 2, 3, 0, 0, 4, 0, 0\n0, 0, 0, 0\n")
+    assert strip_comments(incompressible) == ("*MATERIAL, NAME=OGDEN_3\n*HYPERELASTIC, OGDEN, N=3\n"
+                                              "1, 2, 3, 4, 5, 6, 0, 0\n0\n")
 
 
 @pytest.mark.parametrize(("part", "words"), [

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from tissue_sim.exports.target import ExportContent, ExportTarget, FunctionTarget
+from tissue_sim.exports.target import ExportContent, ExportTarget, FunctionTarget, ImportedMaterial
 from tissue_sim.material.material import Material
 from tissue_sim.registry import Registry
 
@@ -16,6 +16,8 @@ Exporter = ExportTarget | Callable[[Material], str]
 #: Name of the program -> its target.
 EXPORTERS: Registry[Exporter] = Registry("target of an export", "tissue_sim.exporters", {
     "abaqus": "tissue_sim.exports.abaqus:ABAQUS",
+    "calculix": "tissue_sim.exports.calculix:CALCULIX",
+    "febio": "tissue_sim.exports.febio:FEBIO",
     "felupe": "tissue_sim.exports.felupe:FELUPE",
     "sofa": "tissue_sim.exports.sofa:SOFA",
     "usd": "tissue_sim.exports.usd:USD",
@@ -33,4 +35,5 @@ def find_export_target(name: str, field: str = "--to") -> ExportTarget:
     return found if isinstance(found, ExportTarget) else FunctionTarget(name, found)
 
 
-__all__ = ["EXPORTERS", "ExportContent", "ExportTarget", "Exporter", "find_export_target"]
+__all__ = ["EXPORTERS", "ExportContent", "ExportTarget", "Exporter", "ImportedMaterial",
+           "find_export_target"]

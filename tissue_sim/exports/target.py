@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import re
+import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +18,9 @@ from tissue_sim.mesh.solid import SolidMesh
 
 #: Largest number of characters of a label.
 MAX_LABEL_LENGTH = 80
+#: Relative loss of force by compressibility times K / mu0, 1: bonded compression by 10 mm of a cylinder of radius
+#: 40 mm and height 70 mm; computed by the axisymmetric solver with K / mu0 = 1e3 and 1e4.
+BONDED_FORCE_LOSS = 1.0
 
 
 @dataclass(frozen=True)
@@ -46,8 +51,23 @@ class ExportContent:
         return (first, *(f"{first[:MAX_LABEL_LENGTH - 6]}_{number}" for number in range(1, len(self.materials))))
 
 
+@dataclass(frozen=True)
+class ImportedMaterial:
+    """Material that was read from a file of another program.
+
+    Attributes:
+        material: the material, SI.
+        remarks: sentences on differences between the response in the program and in this package.
+    """
+
+    material: Material
+    remarks: tuple[str, ...] = ()
+
+
 class ExportTarget(ABC):
     """Program for which materials are written. A subclass states the attributes and defines `write`.
+
+    A program whose files are imported also defines `split_materials` and `read_material`.
 
     Attributes:
         title: name of the program for people, with the version to which the format belongs.
@@ -59,6 +79,8 @@ class ExportTarget(ABC):
         parts: of ``"viscoelastic"`` and ``"softening"``, the parts of a material that the program has.
         part_remarks: name of a missing part -> the difference between the program and this package, for the message.
         unit_systems: names of the unit systems in which the file can be written.
+        incompressible_bulk_ratio: K / mu0 with which an incompressible material is written; infinite for a program with
+            incompressible materials.
     """
 
     title: ClassVar[str]
@@ -69,6 +91,7 @@ class ExportTarget(ABC):
     parts: ClassVar[frozenset[str]] = frozenset()
     part_remarks: ClassVar[Mapping[str, str]] = {}
     unit_systems: ClassVar[tuple[str, ...]] = tuple(UNIT_SYSTEMS)
+    incompressible_bulk_ratio: ClassVar[float] = math.inf
 
     @abstractmethod
     def write(self, content: ExportContent) -> str:
@@ -78,18 +101,45 @@ class ExportTarget(ABC):
             InputError: the program has no equivalent of a part of a material.
         """
 
-    def read(self, text: str, units: UnitSystem) -> tuple[Material, ...]:
-        """Return the materials of a file of the program, SI.
+    def split_materials(self, text: str) -> dict[str, Any]:
+        """Return name -> section of the file of each material; the sections are not interpreted.
 
         Args:
             text: text of the file.
-            units: unit system of the numbers, which the file does not state.
 
         Raises:
             InputError: a file that cannot be read, with the line; or a program whose files cannot be imported.
         """
         raise InputError(f"files of {self.title} cannot be imported. Use a file of Abaqus, CalculiX or FEBio",
                          field="--from")
+
+    def read_material(self, section: Any, units: UnitSystem) -> ImportedMaterial:
+        """Return the material of a section of `split_materials`.
+
+        Args:
+            section: section of the file.
+            units: unit system of the numbers, which the file does not state.
+
+        Raises:
+            InputError: a part of the material has no equivalent in this package, with the line.
+        """
+        raise NotImplementedError(f"{type(self).__name__} splits files and must define read_material")
+
+    def read(self, text: str, units: UnitSystem) -> tuple[ImportedMaterial, ...]:
+        """Return all materials of a file; arguments and errors as in `split_materials` and `read_material`."""
+        return tuple(self.read_material(section, units) for section in self.split_materials(text).values())
+
+    def compute_bulk_modulus(self, material: Material) -> float:
+        """Return the bulk modulus with which a material is written, Pa; infinite for an incompressible material."""
+        is_incompressible = material.bulk.kind == "incompressible"
+        return self.incompressible_bulk_ratio * material.mu0 if is_incompressible else material.bulk_modulus
+
+    def list_file_remarks(self, content: ExportContent) -> tuple[str, ...]:
+        """Return the remarks of a file: its units, the remarks of the content, and a finite bulk modulus."""
+        is_replaced = (self.incompressible_bulk_ratio < math.inf
+                       and any(material.bulk.kind == "incompressible" for material in content.materials))
+        return (content.units.describe(), *content.remarks,
+                *([describe_finite_bulk_modulus(self.incompressible_bulk_ratio)] if is_replaced else ()))
 
     def require_available_parts(self, material: Material) -> None:
         """Raise an error if the program has no equivalent of a part of a material.
@@ -138,6 +188,17 @@ def make_label(material: Material) -> str:
     return label if label[:1].isalpha() else f"TISSUE_{label}"[:MAX_LABEL_LENGTH]
 
 
+def describe_finite_bulk_modulus(ratio: float) -> str:
+    """Return a sentence on the force error of a finite ratio K / mu0 in place of an incompressible material.
+
+    The stiffness of free compression is 3 mu0 / (1 + mu0 / (3 K)). The error of bonded compression is proportional
+    to mu0 / K.
+    """
+    return (f"K / mu0 = {ratio:g} replaces an incompressible material. The force is smaller by "
+            f"{100.0 / (3.0 * ratio):.2g} % in free compression, and by {100.0 * BONDED_FORCE_LOSS / ratio:.2g} % in "
+            "bonded compression of a cylinder of 40 mm radius and 70 mm height.")
+
+
 def format_comment_lines(remarks: Sequence[str], prefix: str) -> list[str]:
-    """Return remarks as comment lines with a prefix such as ``"** "``."""
-    return [prefix + line for remark in remarks for line in remark.splitlines()]
+    """Return remarks as comment lines of at most 100 characters with a prefix such as ``"** "``."""
+    return [prefix + line for remark in remarks for line in textwrap.wrap(remark, 100)]

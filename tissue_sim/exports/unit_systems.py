@@ -31,6 +31,12 @@ class UnitSystem:
     mass_name: str
     stress_name: str
 
+    def describe(self) -> str:
+        """Return the units as a sentence for a comment: ``Units (mm-N-MPa): mm, N, s, stress MPa, density t/mm3.``."""
+        length, force = ("m", "N") if self.name == SI.name else self.name.split("-")[:2]
+        return (f"Units ({self.name}): {length}, {force}, s, stress {self.stress_name}, density "
+                f"{self.mass_name}/{length}3.")
+
     @property
     def stress(self) -> float:
         """One unit of stress, Pa."""

@@ -7,7 +7,7 @@ block, discards the numbers of the elements, and does not support ``*SURFACE``.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,6 +16,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.files import decode_text_and_find_encoding, read_bytes
 from tissue_sim.mesh.formats.checks import FACES, SOLIDS, CellBlock, MeshContent
+from tissue_sim.mesh.formats.keyword_blocks import KeywordBlock, iterate_keyword_blocks, require_no_include
 
 #: Description of the expected file for messages.
 _EXPECTED = "a mesh of Abaqus or CalculiX"
@@ -38,59 +39,6 @@ _SIDE = re.compile(r"S(\d)")
 _MAX_GENERATED = 10_000_000
 
 
-class _KeywordBlock:
-    """Keyword line (``*NAME, OPTION=VALUE``) with its data lines.
-
-    Attributes:
-        line: number of the keyword line in the file.
-        name: name in upper case.
-        options: options by name in upper case.
-        rows: words of the data lines.
-    """
-
-    def __init__(self, line: int, text: str):
-        self.line, self.rows = line, []  # type: tuple[int, list[list[str]]]
-        name, *options = [part.strip() for part in text[1:].split(",")]
-        self.name = " ".join(name.upper().split())
-        self.options = {key.strip().upper(): value.strip().strip('"')
-                        for key, _, value in (option.partition("=") for option in options if option)}
-
-    def parse_integers(self) -> np.ndarray:
-        """Return all data of the keyword as one array of integers.
-
-        Raises:
-            InputError: a word is not an integer.
-        """
-        flat = [word for row in self.rows for word in row if word]
-        try:
-            return np.array(list(map(int, flat)), dtype=np.int64)
-        except (ValueError, OverflowError):
-            raise InputError(f"the data of *{self.name} must be integers", line=self.line) from None
-
-
-def _iterate_keywords(text: str) -> Iterator[_KeywordBlock]:
-    """Yield the keywords of a file with their data lines; comments are skipped."""
-    current: _KeywordBlock | None = None
-    waiting = ""
-    for number, raw in enumerate(text.splitlines(), start=1):
-        line = raw.strip()
-        if not line or line.startswith("**"):
-            continue
-        if waiting or line.startswith("*"):
-            waiting += line
-            if line.endswith(","):  # the keyword line continues on the next line
-                continue
-            if current is not None:
-                yield current
-            current, waiting = _KeywordBlock(number, waiting), ""
-        elif current is None:
-            raise InputError(f"the file must begin with a keyword such as *NODE; expected {_EXPECTED}", line=number)
-        else:
-            current.rows.append([word.strip() for word in line.split(",")])
-    if current is not None:
-        yield current
-
-
 def read_inp(path: Path, largest: int) -> MeshContent:
     """Read the mesh of an input file.
 
@@ -103,9 +51,8 @@ def read_inp(path: Path, largest: int) -> MeshContent:
     """
     text, _ = decode_text_and_find_encoding(read_bytes(path, _EXPECTED, largest), path, _EXPECTED)
     reader = _InpReader()
-    for keyword in _iterate_keywords(text):
-        if keyword.name == "INCLUDE":
-            raise InputError("*INCLUDE is not supported; write the whole mesh into one file", line=keyword.line)
+    for keyword in iterate_keyword_blocks(text, _EXPECTED):
+        require_no_include(keyword)
         if keyword.name == "INSTANCE" and keyword.rows:
             raise InputError("*INSTANCE with a translation is not supported; export the assembled mesh",
                              line=keyword.line)
@@ -126,7 +73,7 @@ class _InpReader:
         self._element_sets: dict[str, np.ndarray] = {}
         self._surfaces: dict[str, list[tuple[np.ndarray, int]]] = {}
 
-    def read_node(self, keyword: _KeywordBlock) -> None:
+    def read_node(self, keyword: KeywordBlock) -> None:
         """Store the numbers and coordinates of ``*NODE``, and its node set if it names one."""
         try:
             rows = [(int(row[0]), *(float(word or 0.0) for word in (row[1:4] + ["0"] * 3)[:3])) for row in keyword.rows]
@@ -138,7 +85,7 @@ class _InpReader:
         if "NSET" in keyword.options:
             self._extend_set(self._node_sets, keyword.options["NSET"], self._numbers[-1])
 
-    def read_element(self, keyword: _KeywordBlock) -> None:
+    def read_element(self, keyword: KeywordBlock) -> None:
         """Store the elements of ``*ELEMENT``, and its element set if it names one; other types are ignored."""
         name = keyword.options.get("TYPE", "").upper()
         solid, face = _SOLID.match(name), _FACE.match(name)
@@ -159,15 +106,15 @@ class _InpReader:
         if "ELSET" in keyword.options:
             self._extend_set(self._element_sets, keyword.options["ELSET"], table[:, 0])
 
-    def read_nset(self, keyword: _KeywordBlock) -> None:
+    def read_nset(self, keyword: KeywordBlock) -> None:
         """Add the nodes of ``*NSET`` to the node set that it names."""
         self._read_set(keyword, self._node_sets, "NSET")
 
-    def read_elset(self, keyword: _KeywordBlock) -> None:
+    def read_elset(self, keyword: KeywordBlock) -> None:
         """Add the elements of ``*ELSET`` to the element set that it names."""
         self._read_set(keyword, self._element_sets, "ELSET")
 
-    def read_surface(self, keyword: _KeywordBlock) -> None:
+    def read_surface(self, keyword: KeywordBlock) -> None:
         """Store the element faces of ``*SURFACE``, or the nodes of a surface of the type ``NODE`` as a node set."""
         name, kind = keyword.options.get("NAME", ""), keyword.options.get("TYPE", "ELEMENT").upper()
         sides = self._surfaces.setdefault(name.upper(), [])
@@ -181,7 +128,7 @@ class _InpReader:
                        else self._get_defined_set(self._node_sets, row[0], keyword))
             self._extend_set(self._node_sets, name, numbers)
 
-    def _read_set(self, keyword: _KeywordBlock, sets: dict[str, np.ndarray], option: str) -> None:
+    def _read_set(self, keyword: KeywordBlock, sets: dict[str, np.ndarray], option: str) -> None:
         """Add the numbers, generated numbers and earlier sets of a keyword to the set that its option names."""
         name = keyword.options.get(option, "")
         if "GENERATE" in keyword.options:
@@ -202,7 +149,7 @@ class _InpReader:
                 self._extend_set(sets, name, self._get_defined_set(sets, word, keyword))
 
     @staticmethod
-    def _get_defined_set(sets: dict[str, np.ndarray], name: str, keyword: _KeywordBlock) -> np.ndarray:
+    def _get_defined_set(sets: dict[str, np.ndarray], name: str, keyword: KeywordBlock) -> np.ndarray:
         """Return the numbers in a named set; an `InputError` for a set that is not defined yet."""
         if name.upper() not in sets:
             raise InputError(f"*{keyword.name} names the set {name!r}, which is not defined before this line",
