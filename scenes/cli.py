@@ -11,7 +11,7 @@ from argparse import Namespace
 from collections.abc import Iterable, Sequence
 
 from scenes.commands import COMMANDS, Command, ExitCode
-from scenes.commands.shared.parsing import InputErrorArgumentParser, describe_not_yet_available_feature
+from scenes.commands.shared.parsing import InputErrorArgumentParser
 from tissue_sim import __version__
 from tissue_sim.errors import (
     ConvergenceError,
@@ -119,18 +119,15 @@ def _require_known_command_and_action(words: list[str]) -> None:
     """Raise an error for an unknown command or action; the message names the nearest one, unlike that of argparse.
 
     Raises:
-        InputError: unknown or planned command.
+        InputError: unknown command.
     """
     if not words or words[0].startswith("-"):
         return
     command = _import_command(words[0])
     actions = [action.name for action in command.actions]
-    if actions and len(words) > 1 and not words[1].startswith("-"):
-        named = f"command {' '.join(words[:2])!r}"
-        if words[1] in command.planned_actions:
-            raise InputError(describe_not_yet_available_feature(named))
-        if words[1] not in actions:
-            raise InputError(f"unknown {named}{make_hint_with_similar_or_known_words(words[1], actions)}")
+    if actions and len(words) > 1 and not words[1].startswith("-") and words[1] not in actions:
+        raise InputError(f"unknown command {' '.join(words[:2])!r}"
+                         f"{make_hint_with_similar_or_known_words(words[1], actions)}")
 
 
 def _set_utf8_output() -> None:

@@ -126,10 +126,6 @@ def test_invalid_arguments_get_one_sentence(words, expected, capsys, tmp_path, m
     assert list(tmp_path.iterdir()) == []
 
 
-def test_planned_action_is_reported_as_unavailable(capsys):
-    assert "not available in this version" in fails(capsys, ["material", "import", "x"])
-
-
 def test_version(capsys):
     import tissue_sim
 

@@ -53,8 +53,8 @@ class MaterialSection:
         for block in self.blocks:
             if block.name not in known:
                 raise InputError(f"*{block.name} in material {self.name} cannot be imported from {title}; known: "
-                                 f"{', '.join(f'*{name}' for name in known)}. Delete it, or write the material into a "
-                                 "file without other keywords", line=block.line)
+                                 f"{', '.join(f'*{name}' for name in known)}. Delete it if it does not change the "
+                                 "response", line=block.line)
             if block.name in found:
                 raise InputError(f"*{block.name} occurs twice in material {self.name}. Delete one", line=block.line)
             found[block.name] = block

@@ -1,4 +1,4 @@
-"""`tissue-sim material new|show|check|export`: write, print, check and export material files."""
+"""`tissue-sim material new|show|check|export|import`: write, print, check and convert material files."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from scenes.commands.material.export import EXPORT
+from scenes.commands.material.importing import IMPORT
 from scenes.commands.shared.command import Command, CommandResult, ExitCode
 from scenes.commands.shared.parsing import (
     InputErrorArgumentParser,
@@ -228,7 +229,7 @@ def _check_material_stability(arguments: Namespace) -> CommandResult:
 
 
 COMMAND = Command(
-    "material", "write, print, check and export material files", "tissue-sim material show phantom.material.json",
+    "material", "write, print, check and convert material files", "tissue-sim material show phantom.material.json",
     actions=(
         Command("new", "write a material file from the parameters of a law",
                 "tissue-sim material new --law reduced_polynomial_2 --set C10=1404.9 --set C20=699.4 --bulk-ratio 1000 "
@@ -240,5 +241,5 @@ COMMAND = Command(
         Command("check", "check a material file; exit code 0: valid, 1: the law is unstable in its valid range, "
                 "2: unreadable", "tissue-sim material check m.material.json", _check_material_stability,
                 needs=(add_json_flag, _add_material_file)),
-        EXPORT),
-    planned_actions=("import",))
+        EXPORT,
+        IMPORT))

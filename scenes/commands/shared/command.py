@@ -70,7 +70,6 @@ class Command:
         needs: inputs of the command, as functions that add their flags, in the order of the help: those of
             `scenes.commands.shared`, and those of this command alone.
         actions: actions of the command, which replace `run`; empty for most commands.
-        planned_actions: names of actions that a later version will have.
         resume_hint: second half of the message at Ctrl-C; `run` may replace it in its arguments.
     """
 
@@ -80,7 +79,6 @@ class Command:
     run: Callable[[Namespace], CommandResult | int] | None = None
     needs: tuple[Need, ...] = ()
     actions: tuple[Command, ...] = ()
-    planned_actions: tuple[str, ...] = ()
     resume_hint: str = "nothing was written"
 
     def add_arguments(self, parser: InputErrorArgumentParser) -> None:

@@ -29,11 +29,6 @@ class InputErrorArgumentParser(argparse.ArgumentParser):
         return (option for action in self._actions for option in action.option_strings)
 
 
-def describe_not_yet_available_feature(feature: str) -> str:
-    """Return the error message for a planned feature, named at the beginning of the sentence."""
-    return f"{feature} is not available in this version. 'tissue-sim --help' lists the available commands"
-
-
 def add_json_flag(parser: InputErrorArgumentParser) -> None:
     """Add ``--json``, with which a command prints one JSON object on stdout and nothing else."""
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
