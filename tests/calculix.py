@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tissue_sim.exports import ExportContent
-from tissue_sim.exports.abaqus import ABAQUS
+from tissue_sim.exports.calculix import CALCULIX
 
 
 def held_force(mesh, columns, kind, material, motion, folder, held="face"):
@@ -30,7 +30,7 @@ def held_force(mesh, columns, kind, material, motion, folder, held="face"):
             nodes) > 10 else [f"{number}, " + ", ".join(map(str, nodes))]
     for name in ("base", held):
         rows += [f"*NSET, NSET={name.upper()}", *(f"{n}," for n in np.intersect1d(mesh.sets[name] + 1, used))]
-    rows += [ABAQUS.write(ExportContent((material,))).rstrip(),
+    rows += [CALCULIX.write(ExportContent((material,))).rstrip(),
              "*SOLID SECTION, ELSET=TISSUE, MATERIAL=GEL", "*STEP, NLGEOM, INC=100",
              "*STATIC", "0.25, 1.", "*BOUNDARY", "BASE, 1, 3",
              *(f"{held.upper()}, {axis}, {axis}, {part}" for axis, part in enumerate(motion, start=1)),

@@ -35,10 +35,18 @@ _PARAMETERS = {
     "Ogden": tuple(f"{letter}{i}" for letter in "cm" for i in range(1, _MAX_TERMS + 1))}
 #: Type of a sum of elastic materials.
 _MIXTURE = "uncoupled solid mixture"
+#: Law -> type of its elastic material.
+_TYPES = {"neo_hooke": "Mooney-Rivlin", "mooney_rivlin": "Mooney-Rivlin", "biderman": _MIXTURE,
+          **{f"reduced_polynomial_{n}": "Yeoh" for n in (1, 2, 3)}, **{f"ogden_{n}": "Ogden" for n in (1, 2, 3)}}
 #: Type of a material with relaxation.
 _VISCOELASTIC = "uncoupled viscoelastic"
 #: Names of the parameters of a material with relaxation.
 _SERIES = ("g0", *(f"{letter}{i}" for letter in "gt" for i in range(1, _MAX_TERMS + 1)))
+#: Coefficients of the type Yeoh, for which program and manual differ.
+_YEOH_REMARK = ("The stress of the type Yeoh in FEBio 4.4 to 4.11 has dW/dI1 = c1 + c2 (I1 - 3) + c3 (I1 - 3)^2 "
+                "(FEYeoh.cpp), but the manual states W = c1 (I1 - 3) + c2 (I1 - 3)^2 + c3 (I1 - 3)^3. The stress "
+                "decides: c1 = C10, c2 = 2 C20, c3 = 3 C30. A version with the stress of the manual needs c2 = C20, "
+                "c3 = C30.")
 #: Rounding of the sum of relative moduli in a file, 1.
 _ROUNDING = 1e-12
 
@@ -57,6 +65,8 @@ class FebioTarget(ExportTarget):
     def write(self, content: ExportContent) -> str:
         """Return a document with one material for each material of the content."""
         remarks = [remark.replace("--", "- -") for remark in self.list_file_remarks(content)]
+        if any("C20" in material.parameters for material in content.materials):
+            remarks.append(_YEOH_REMARK)
         lines = ['<?xml version="1.0" encoding="UTF-8"?>', *(f"{line} -->" for line in
                                                              format_comment_lines(remarks, "<!-- ")),
                  '<febio_spec version="4.0">', '  <Module type="solid"/>', "  <Material>"]
@@ -118,6 +128,8 @@ class FebioTarget(ExportTarget):
         name, kind = section.attributes["name"], section.attributes.get("type", "")
         section.require_attributes(("id", "name", "type"))
         is_relaxing = kind == _VISCOELASTIC
+        if not is_relaxing:
+            _require_known_type(section)
         parts = {_VISCOELASTIC: ("elastic",), _MIXTURE: ("solid",)}.get(kind, _PARAMETERS.get(kind, ()))
         known = ("density", "k", "pressure_model", *(_SERIES if is_relaxing else ()), *parts)
         section.require_children(known, repeated=("solid",))
@@ -128,7 +140,7 @@ class FebioTarget(ExportTarget):
             scale, relaxation = _read_relaxation(section)
         law, parameters = _read_law(elastic, is_nested=elastic is not section)
         declared = find_law(law).units
-        remarks = []
+        remarks = [f"{name}: {_YEOH_REMARK}"] if "C20" in parameters else []
         number = _read_pressure_model(section)
         if number in _OTHER_PRESSURES:
             formula, slope = _OTHER_PRESSURES[number]
@@ -156,23 +168,33 @@ def _list_law_lines(material: Material, units: UnitSystem) -> tuple[str, list[st
     Raises:
         InputError: FEBio has no such law.
     """
+    if material.law not in _TYPES:
+        raise InputError(f"FEBio has no equivalent of the law {material.law!r}; write a plug-in of FEBio", field="to")
+    kind = _TYPES[material.law]
     values = dict(zip(material.energy_law.parameters, material.values, strict=True))
     stresses = {name: value / units.stress for name, value in values.items()}
-    if material.law in ("neo_hooke", "mooney_rivlin"):
-        return "Mooney-Rivlin", [_format_element("c1", stresses["C10"]),
-                                 _format_element("c2", stresses.get("C01", 0.0))]
-    if material.law.startswith("reduced_polynomial_"):
-        return "Yeoh", [_format_element(f"c{i}", value) for i, value in enumerate(stresses.values(), start=1)]
-    if material.law == "biderman":
+    if kind == "Mooney-Rivlin":
+        return kind, [_format_element("c1", stresses["C10"]),
+                      _format_element("c2", stresses.get("C01", 0.0))]
+    if kind == "Yeoh":
+        return kind, [_format_element(f"c{i}", i * value) for i, value in enumerate(stresses.values(), start=1)]
+    if kind == _MIXTURE:
         terms = {"Mooney-Rivlin": {"c1": stresses["C10"], "c2": stresses["C01"]},
-                 "Yeoh": {"c1": 0.0, "c2": stresses["C20"], "c3": stresses["C30"]}}
-        return _MIXTURE, [line for kind, coefficients in terms.items() for line in (
-            f'<solid type="{kind}">', *(f"  {_format_element(tag, c)}" for tag, c in coefficients.items()), "</solid>")]
-    if material.law.startswith("ogden_"):
-        # FEBio: W = sum of c_i / m_i^2 (...); this package: W = sum of 2 mu_i / alpha_i^2 (...).
-        return "Ogden", [line for i in range(1, len(values) // 2 + 1) for line in (
-            _format_element(f"c{i}", 2.0 * stresses[f"mu{i}"]), _format_element(f"m{i}", values[f"alpha{i}"]))]
-    raise InputError(f"FEBio has no equivalent of the law {material.law!r}; write a plug-in of FEBio", field="to")
+                 "Yeoh": {"c1": 0.0, "c2": 2.0 * stresses["C20"], "c3": 3.0 * stresses["C30"]}}
+        return kind, [line for solid, coefficients in terms.items() for line in (
+            f'<solid type="{solid}">', *(f"  {_format_element(name, c)}" for name, c in coefficients.items()),
+            "</solid>")]
+    # FEBio: W = sum of c_i / m_i^2 (...); this package: W = sum of 2 mu_i / alpha_i^2 (...).
+    return kind, [line for i in range(1, len(values) // 2 + 1) for line in (
+        _format_element(f"c{i}", 2.0 * stresses[f"mu{i}"]), _format_element(f"m{i}", values[f"alpha{i}"]))]
+
+
+def _require_known_type(element: XmlElement) -> None:
+    """Raise an `InputError` if the elastic material of an element has no equivalent in this package."""
+    kind = element.attributes.get("type", "")
+    if kind not in (*_PARAMETERS, _MIXTURE):
+        raise InputError(f"the type {kind!r} of <{element.tag}> has no equivalent; known: "
+                         f"{', '.join((*_PARAMETERS, _MIXTURE, _VISCOELASTIC))}.", line=element.line)
 
 
 def _read_law(element: XmlElement, *, is_nested: bool) -> tuple[str, dict[str, float]]:
@@ -182,10 +204,8 @@ def _read_law(element: XmlElement, *, is_nested: bool) -> tuple[str, dict[str, f
         element: elastic material.
         is_nested: whether the element is part of another material, which states k, pressure model and density.
     """
-    kind = element.attributes.get("type", "")
-    if kind not in (*_PARAMETERS, _MIXTURE):
-        raise InputError(f"the type {kind!r} of <{element.tag}> has no equivalent; known: "
-                         f"{', '.join((*_PARAMETERS, _MIXTURE, _VISCOELASTIC))}.", line=element.line)
+    _require_known_type(element)
+    kind = element.attributes["type"]
     if is_nested:
         element.require_attributes(("type",))
         element.require_children(("density", "k", "pressure_model", *_PARAMETERS.get(kind, ("solid",))),
@@ -207,7 +227,7 @@ def _read_law(element: XmlElement, *, is_nested: bool) -> tuple[str, dict[str, f
         raise InputError(f"c{count} must be 0, because the laws of this package have at most 3 terms; got "
                          f"{values[f'c{count}']:g}.", line=element.line)
     if kind == "Yeoh":
-        return f"reduced_polynomial_{count}", {f"C{i}0": values[f"c{i}"] for i in range(1, count + 1)}
+        return f"reduced_polynomial_{count}", {f"C{i}0": values[f"c{i}"] / i for i in range(1, count + 1)}
     return f"ogden_{count}", {name: value for i in range(1, count + 1) for name, value in (
         (f"mu{i}", 0.5 * values[f"c{i}"]), (f"alpha{i}", values[f"m{i}"]))}
 

@@ -1,0 +1,107 @@
+"""Materials that are written and read again, and readers of damaged files."""
+
+import pytest
+from export_materials import (
+    PARAMETERS,
+    RELAXATIONS,
+    list_materials,
+    materials,
+    read,
+    require_same_after_round_trip,
+    write,
+)
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import tissue_sim as ts
+from tissue_sim.exports import ExportContent
+from tissue_sim.exports.abaqus import ABAQUS
+from tissue_sim.exports.calculix import CALCULIX
+from tissue_sim.exports.febio import FEBIO
+from tissue_sim.exports.target import MAX_LABEL_LENGTH, FunctionTarget
+from tissue_sim.exports.unit_systems import SI, UNIT_SYSTEMS
+from tissue_sim.laws import InvariantLaw
+
+TARGETS = {"abaqus": ABAQUS, "calculix": CALCULIX, "febio": FEBIO}
+
+
+@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize("law", PARAMETERS)
+def test_round_trip(name, law):
+    for units in UNIT_SYSTEMS:
+        for material in list_materials(law, RELAXATIONS if "viscoelastic" in TARGETS[name].parts else (None,)):
+            require_same_after_round_trip(TARGETS[name], material, units)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+@settings(max_examples=200)
+@given(st.data())
+def test_round_trip_of_any_material(name, data):
+    target = TARGETS[name]
+    material = data.draw(materials("viscoelastic" in target.parts))
+    require_same_after_round_trip(target, material, data.draw(st.sampled_from(tuple(UNIT_SYSTEMS))))
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_several_materials_keep_their_order(name):
+    gels = tuple(ts.Material("neo_hooke", {"C10": 1000.0 + i}, name="gel") for i in range(3))
+    text = TARGETS[name].write(ExportContent(gels))
+    assert list(TARGETS[name].split_materials(text)) == ["GEL", "GEL_1", "GEL_2"]
+    assert [each.material.parameters["C10"] for each in TARGETS[name].read(text, SI)] == pytest.approx(
+        [1000.0, 1001.0, 1002.0], rel=1e-12)
+
+
+@pytest.mark.parametrize("name", ["abaqus", "calculix"])
+@given(material=materials(relaxing=False), units=st.sampled_from(tuple(UNIT_SYSTEMS)))
+def test_fields_have_at_most_20_characters(name, material, units):
+    """Both programs read 20 characters of a number; the end of a longer one, its exponent, would be lost."""
+    for line in write(TARGETS[name], material, units).splitlines():
+        if not line.startswith("*"):
+            assert max(map(len, line.split(", "))) <= 20
+    assert MAX_LABEL_LENGTH <= 80
+
+
+#: Characters and words that a mutation inserts.
+PIECES = ("*", "**", ",", "\n", "=", "<", ">", "/", '"', "nan", "inf", "1e999", "-", "0", "1e-320", "N=7", "*ELASTIC",
+          "*INCLUDE, INPUT=x", "*MATERIAL, NAME=B", "MODULI=", "<k>", "</k>", "&lt;", "<!DOCTYPE a>", "\x00", "\u0131")
+
+
+@pytest.mark.parametrize("name", TARGETS)
+@settings(max_examples=400)
+@given(st.data())
+def test_mutated_files_give_a_material_or_an_input_error(name, data):
+    target = TARGETS[name]
+    text = write(target, data.draw(materials("viscoelastic" in target.parts)))
+    for _ in range(data.draw(st.integers(1, 3))):
+        start = data.draw(st.integers(0, len(text)))
+        end = min(len(text), start + data.draw(st.integers(0, 20)))
+        piece = data.draw(st.sampled_from(PIECES) | st.text(max_size=4) | st.just(text[start:end] * 2))
+        text = text[:start] + piece + text[end:]
+    try:
+        for imported in target.read(text, UNIT_SYSTEMS[data.draw(st.sampled_from(tuple(UNIT_SYSTEMS)))]):
+            assert imported.material.mu0 > 0
+    except ts.InputError as error:
+        assert str(error)
+
+
+@pytest.mark.parametrize("name", TARGETS)
+def test_a_law_without_equivalent_is_refused(name):
+    class Plugin(InvariantLaw):
+        name = "ogden_of_a_plugin"
+        title = "Plug-in"
+        units = {"mu1": "Pa"}
+
+        def energy(self, I1, I2, mu1):
+            return mu1 / 2 * (I1 - 3)
+
+    ts.register_law(Plugin())
+    try:
+        with pytest.raises(ts.InputError, match="the law 'ogden_of_a_plugin'"):
+            write(TARGETS[name], ts.Material("ogden_of_a_plugin", {"mu1": 1000.0}))
+    finally:
+        ts.LAWS.unregister("ogden_of_a_plugin")
+
+
+def test_a_target_without_import_is_refused_by_name():
+    with pytest.raises(ts.InputError, match="cannot be imported"):
+        read(FunctionTarget("another program", str), "")
