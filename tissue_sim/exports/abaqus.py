@@ -247,7 +247,7 @@ class AbaqusTarget(ExportTarget):
 
 
 def _format_value(value: float) -> str:
-    """Return a number with 14 digits, which has at most the 20 characters that Abaqus and CalculiX read."""
+    """Return a number with 14 digits, which has at most the 20 characters that CalculiX reads."""
     return f"{value:.14g}"
 
 

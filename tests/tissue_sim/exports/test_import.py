@@ -54,7 +54,7 @@ def test_several_materials_keep_their_order(name):
 @pytest.mark.parametrize("name", ["abaqus", "calculix"])
 @given(material=materials(relaxing=False), units=st.sampled_from(tuple(UNIT_SYSTEMS)))
 def test_fields_have_at_most_20_characters(name, material, units):
-    """Both programs read 20 characters of a number; the end of a longer one, its exponent, would be lost."""
+    """CalculiX reads 20 characters of a number; the end of a longer one, its exponent, would be lost."""
     for line in write(TARGETS[name], material, units).splitlines():
         if not line.startswith("*"):
             assert max(map(len, line.split(", "))) <= 20
