@@ -36,7 +36,8 @@ MOST_PROCESSES = 8
 WITHOUT_KERNELS = (
     "tests/calibration/", "tests/scenes/test_calibrate_command", "tests/scenes/test_material_",
     "tests/tissue_sim/exports/", "tests/tissue_sim/test_column", "tests/tissue_sim/test_formats",
-    "tests/tissue_sim/test_laws", "tests/tissue_sim/test_material_file", "tests/tissue_sim/test_protocol", "tests/tissue_sim/test_recording",
+    "tests/tissue_sim/test_laws", "tests/tissue_sim/test_material_file", "tests/tissue_sim/test_protocol",
+    "tests/tissue_sim/test_recording",
     "tests/tissue_sim/test_viscoelasticity")
 #: Tests of the folders above that do use finite elements.
 WITH_KERNELS = (

@@ -2,6 +2,7 @@
 
 from itertools import product
 
+import numpy as np
 import pytest
 from hypothesis import strategies as st
 
@@ -24,6 +25,8 @@ PARAMETERS = {
 BULKS = (ts.Bulk(), ts.Bulk("K_Pa", 4.3e6), ts.Bulk("D1_per_Pa", 7.3e-7), ts.Bulk("bulk_ratio", 51.0))
 TERMS = (ts.PronyTerm(0.3, 2.0), ts.PronyTerm(0.123456789012345, 41.7))
 RELAXATIONS = (None, ts.Prony(TERMS), ts.Prony(TERMS, "long_term"))
+#: Stretches along the axis of a specimen, at which stresses of an exported text are compared.
+STRETCHES = np.linspace(0.5, 2.0, 31)
 #: Relative accuracy of a material that was written and read.
 ROUND_TRIP = 1e-12
 
@@ -32,6 +35,14 @@ def list_materials(law, relaxations=RELAXATIONS):
     """Materials of a law with each bulk response and relaxation."""
     return [ts.Material(law, PARAMETERS[law], bulk, 1040.0, "GEL", viscoelastic=relaxation)
             for bulk, relaxation in product(BULKS, relaxations)]
+
+
+def our_stress(material, K, stretches, factor=1.0):
+    """Principal Cauchy stresses of this package, Pa; `factor` multiplies the deviator."""
+    J = float(np.prod(stretches))
+    isochoric = np.asarray(stretches) / J**(1 / 3)
+    tau = material.energy_law.compute_energy_and_kirchhoff_stresses(isochoric, material.parameters)[1]
+    return factor * (tau - tau.mean()) / J + K * (J - 1.0)
 
 
 @st.composite

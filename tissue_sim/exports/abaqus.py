@@ -189,7 +189,7 @@ class AbaqusTarget(ExportTarget):
         """Return the form that a keyword ``*HYPERELASTIC`` states."""
         options = {name.replace(" ", ""): value for name, value in block.options.items()}
         keywords = {keyword for keyword, _ in _READ} & set(options)
-        require_options(block, {"N", *self.hyperelastic_options, *keywords}, self.title)
+        require_options(block, {"N", *self.hyperelastic_options, *keywords})
         if len(keywords) != 1:
             raise InputError("*HYPERELASTIC must name one form of the energy: NEO HOOKE, MOONEY-RIVLIN, YEOH, REDUCED "
                              f"POLYNOMIAL, POLYNOMIAL or OGDEN; got {', '.join(sorted(keywords)) or 'none'}.",
@@ -219,7 +219,7 @@ class AbaqusTarget(ExportTarget):
 
     def _read_relaxation(self, block: KeywordBlock, hyperelastic: KeywordBlock) -> Prony | None:
         """Return the Prony series of a keyword ``*VISCOELASTIC``; None if all its terms are 0."""
-        require_options(block, {"TIME"}, self.title)
+        require_options(block, {"TIME"})
         if block.options.get("TIME", "").upper() != "PRONY":
             raise InputError(f"*VISCOELASTIC must have TIME=PRONY; got TIME={block.options.get('TIME')!r}.",
                              line=block.line)
@@ -241,7 +241,7 @@ class AbaqusTarget(ExportTarget):
         """Return the density of a keyword ``*DENSITY``, kg/m3; None without the keyword."""
         if block is None:
             return None
-        require_options(block, set(), self.title)
+        require_options(block, set())
         [[density]] = parse_data_rows(block, [1])
         return density * units.density
 

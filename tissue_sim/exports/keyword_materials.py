@@ -19,10 +19,11 @@ _MODEL_KEYWORDS = frozenset((
     "INSTANCE", "END INSTANCE", "SYSTEM", "NODE", "NGEN", "NFILL", "NCOPY", "ELEMENT", "ELGEN", "ELCOPY", "NSET",
     "ELSET", "SURFACE", "ORIENTATION", "TRANSFORM", "SOLID SECTION", "SHELL SECTION", "MEMBRANE SECTION",
     "BEAM SECTION", "SECTION CONTROLS", "RIGID BODY", "EQUATION", "MPC", "TIE", "COUPLING", "KINEMATIC",
-    "DISTRIBUTING", "MASS", "ROTARY INERTIA", "SPRING", "AMPLITUDE", "TIME POINTS", "INITIAL CONDITIONS",
-    "PHYSICAL CONSTANTS", "BOUNDARY", "SURFACE INTERACTION", "SURFACE BEHAVIOR", "FRICTION", "CONTACT", "CONTACT PAIR",
-    "CONTACT INCLUSIONS", "CONTACT PROPERTY ASSIGNMENT", "CONTACT CONTROLS", "CLEARANCE", "STEP", "END STEP", "STATIC",
-    "VISCO", "DYNAMIC", "NODE PRINT", "EL PRINT", "NODE FILE", "EL FILE", "OUTPUT", "INCLUDE"))
+    "DISTRIBUTING", "MASS", "ROTARY INERTIA", "SPRING", "FLUID CAVITY", "CONNECTOR SECTION", "CONNECTOR BEHAVIOR",
+    "EMBEDDED ELEMENT", "FILTER", "SUBMODEL", "AMPLITUDE", "TIME POINTS", "INITIAL CONDITIONS", "PHYSICAL CONSTANTS",
+    "BOUNDARY", "SURFACE INTERACTION", "SURFACE BEHAVIOR", "FRICTION", "CONTACT", "CONTACT PAIR", "CONTACT INCLUSIONS",
+    "CONTACT PROPERTY ASSIGNMENT", "CONTACT CONTROLS", "CLEARANCE", "STEP", "END STEP", "STATIC", "VISCO", "DYNAMIC",
+    "NODE PRINT", "EL PRINT", "NODE FILE", "EL FILE", "OUTPUT", "INCLUDE"))
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,7 @@ def split_into_sections(text: str, expected: str) -> dict[str, MaterialSection]:
     for block in iterate_keyword_blocks(text, expected):
         require_no_include(block)
         if block.name == "MATERIAL":
-            require_options(block, {"NAME"}, "this package")
+            require_options(block, {"NAME"})
             name = block.options.get("NAME", "")
             if not name:
                 raise InputError("*MATERIAL must have a NAME.", line=block.line)
@@ -94,7 +95,7 @@ def split_into_sections(text: str, expected: str) -> dict[str, MaterialSection]:
     return sections
 
 
-def require_options(block: KeywordBlock, known: Collection[str], title: str) -> None:
+def require_options(block: KeywordBlock, known: Collection[str]) -> None:
     """Raise an error if a keyword has an option that is not known; blanks within names are ignored.
 
     Raises:
@@ -102,8 +103,8 @@ def require_options(block: KeywordBlock, known: Collection[str], title: str) -> 
     """
     for name in block.options:
         if name.replace(" ", "") not in known:
-            raise InputError(f"the option {name} of *{block.name} cannot be imported from {title}. Delete it if it "
-                             "does not change the response", line=block.line)
+            raise InputError(f"the option {name} of *{block.name} cannot be imported. Delete it if it does not change "
+                             "the response", line=block.line)
 
 
 def parse_data_rows(block: KeywordBlock, counts: Sequence[int]) -> list[list[float]]:

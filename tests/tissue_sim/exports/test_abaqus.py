@@ -2,8 +2,9 @@
 
 import re
 
+import numpy as np
 import pytest
-from export_materials import PARAMETERS, read, write
+from export_materials import PARAMETERS, STRETCHES, TERMS, our_stress, read, write
 
 import tissue_sim as ts
 from tissue_sim.exports.abaqus import ABAQUS
@@ -75,6 +76,59 @@ def test_numbers_in_other_units(units, values, density, unit):
     assert strip_comments(text) == (f"*MATERIAL, NAME=NEO_HOOKE\n*HYPERELASTIC, NEO HOOKE\n{values}\n*DENSITY\n"
                                     f"{density}\n")
     assert text.startswith(f"** Units ({units})") and unit in text
+
+
+def stress_of_card(text, stretches):
+    """Principal Cauchy stresses by the formulas of the Analysis User's Guide, in the units of the file."""
+    options, rows = re.search(r"^\*HYPERELASTIC, ([^\n]*)\n((?:[^*\n]+\n)+)", text, re.MULTILINE).groups()
+    values = [float(word) for word in rows.replace("\n", ",").split(",") if word.strip()]
+    form, _, order = options.split(", MODULI")[0].partition(", N=")
+    N, J = int(order or 1), float(np.prod(stretches))
+    isochoric = stretches / J**(1 / 3)
+    B = isochoric**2
+    x, y = B.sum() - 3.0, (1.0 / B).sum() - 3.0
+    if form == "OGDEN":
+        count = 2 * N
+        tau = sum(2.0 * mu / alpha * isochoric**alpha for mu, alpha in zip(values[:count:2], values[1:count:2],
+                                                                           strict=True))
+    else:
+        powers = {"NEO HOOKE": [(1, 0)], "MOONEY-RIVLIN": [(1, 0), (0, 1)],
+                  "REDUCED POLYNOMIAL": [(i, 0) for i in range(1, N + 1)],
+                  "POLYNOMIAL": [(n - j, j) for n in range(1, N + 1) for j in range(n + 1)]}[form]
+        count = len(powers)
+        terms = list(zip(values, powers, strict=False))
+        W1 = sum(C * i * x**(i - 1) * y**j for C, (i, j) in terms if i)
+        W2 = sum(C * j * x**i * y**(j - 1) for C, (i, j) in terms if j)
+        tau = 2.0 * (W1 * B - W2 / B)
+    D = values[count:]
+    assert len(D) == N
+    return (tau - tau.mean()) / J + sum(2.0 * i / d * (J - 1.0)**(2 * i - 1) for i, d in enumerate(D, start=1))
+
+
+@pytest.mark.parametrize("units", UNIT_SYSTEMS)
+@pytest.mark.parametrize("law", PARAMETERS)
+def test_stresses_of_the_text_are_ours(law, units):
+    material = ts.Material(law, PARAMETERS[law], ts.Bulk("K_Pa", 4.3e6))
+    text = write(ABAQUS, material, units)
+    for stretch in STRETCHES:
+        for J in (0.99, 1.0, 1.003):
+            stretches = np.array([stretch, np.sqrt(J / stretch), np.sqrt(J / stretch)])
+            ours = our_stress(material, 4.3e6, stretches)
+            scale = max(np.abs(ours - ours.mean()).max(), 1e-3 * material.mu0)
+            np.testing.assert_allclose(stress_of_card(text, stretches) * UNIT_SYSTEMS[units].stress, ours, rtol=0.0,
+                                       atol=1e-6 * scale)
+
+
+@pytest.mark.parametrize("moduli", ["instantaneous", "long_term"])
+def test_moduli_of_the_text_are_ours(moduli):
+    """Guide, "Time domain viscoelasticity": g_R(t) = 1 - sum of g_i (1 - exp(-t / tau_i))."""
+    material = ts.Material("neo_hooke", {"C10": 1500.0}, viscoelastic=ts.Prony(TERMS, moduli))
+    text = write(ABAQUS, material)
+    stated = 2.0 * float(re.search(r"^([\d.]+), 0$", text, re.MULTILINE)[1])
+    lost = sum(float(g) for g in re.findall(r"^([\d.]+), 0, [\d.]+$", text, re.MULTILINE))
+    instantaneous = stated if "MODULI=INSTANTANEOUS" in text else stated / (1.0 - lost)
+    assert material.mu0 == pytest.approx(instantaneous, rel=1e-12)
+    assert material.mu_long_term == pytest.approx(instantaneous * (1.0 - lost), rel=1e-12)
 
 
 @pytest.mark.parametrize(("part", "words"), [

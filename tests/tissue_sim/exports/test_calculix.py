@@ -68,8 +68,10 @@ def run(deck, folder):
     return answer
 
 
-def last_total_force(answer):
-    return np.array([float(x) for x in re.findall(r"total force.*?\n\n((?:\s+\S+){3})", answer)[-1].split()])
+def total_forces(answer):
+    """Total forces of all increments, shape (increments, 3)."""
+    return np.array([[float(x) for x in row.split()]
+                     for row in re.findall(r"total force.*?\n\n((?:\s+\S+){3})", answer)])
 
 
 def require_our_stress(text, material, K, units, folder):
@@ -81,7 +83,7 @@ def require_our_stress(text, material, K, units, folder):
     tau = material.energy_law.compute_energy_and_kirchhoff_stresses(
         stretches, material.parameters)[1] + K * J * (J - 1.0)
     assert tau[0] == pytest.approx(0.0, abs=1e-3 * abs(tau[2]))
-    assert last_total_force(answer)[2] * UNIT_SYSTEMS[units].stress == pytest.approx(tau[2] / 0.8, rel=1e-4)
+    assert total_forces(answer)[-1, 2] * UNIT_SYSTEMS[units].stress == pytest.approx(tau[2] / 0.8, rel=1e-4)
 
 
 @pytest.mark.parametrize("units", UNIT_SYSTEMS)
@@ -92,8 +94,8 @@ def test_calculix_gives_our_force(law, units, tmp_path):
 
 
 @pytest.mark.parametrize("units", UNIT_SYSTEMS)
-def test_lubricated_cylinder(units, tmp_path):
-    """Frictionless compression of the study's cylinder by 10 mm; an independent solver found 7.600 N."""
+def test_lubricated_cylinder(units, tmp_path, reference):
+    """Frictionless compression of the study's cylinder by 10 mm, against an independent solver and our closed form."""
     system = UNIT_SYSTEMS[units]
     material = ts.Material("reduced_polynomial_2", PARAMETERS["reduced_polynomial_2"], name="gel")
     columns, rows = 2 * COLUMNS + 1, 2 * ROWS + 1
@@ -108,14 +110,17 @@ def test_lubricated_cylinder(units, tmp_path):
     for name, nodes in (("BASE", number[0]), ("TOP", number[-1]), ("AXIS", number[:, 0])):
         lines += [f"*NSET, NSET={name}", *(f"{node}," for node in nodes)]
     deck = "\n".join([*lines, write(CALCULIX, material, units).rstrip(), "*SOLID SECTION, ELSET=TISSUE, MATERIAL=GEL",
-                      "*BOUNDARY", "BASE, 2, 2", "AXIS, 1, 1", "*STEP, NLGEOM", "*STATIC", "0.25, 1.", "*BOUNDARY",
+                      "*BOUNDARY", "BASE, 2, 2", "AXIS, 1, 1", "*STEP, NLGEOM", "*STATIC, DIRECT",
+                      "0.25, 1.", "*BOUNDARY",
                       f"TOP, 2, 2, {-DEPTH / system.length:.12g}", "*NODE PRINT, NSET=TOP, TOTALS=ONLY", "RF",
                       "*END STEP"]) + "\n"
-    force = -last_total_force(run(deck, tmp_path))[1] * system.force * SECTORS
-    stretch = 1.0 - DEPTH / HEIGHT
-    ours = -np.pi * RADIUS**2 * float(material.energy_law.nominal_stress(stretch, material.values))
-    assert force == pytest.approx(7.600, rel=1e-3)
-    assert force == pytest.approx(ours, rel=1e-3)
+    forces = -total_forces(run(deck, tmp_path))[:, 1] * system.force * SECTORS
+    depths = DEPTH * np.array([0.25, 0.5, 0.75, 1.0])
+    displacement_mm, force = np.loadtxt(reference / "lubricated_RP.csv", delimiter=",", unpack=True)
+    ours = -np.pi * RADIUS**2 * material.energy_law.nominal_stress(1.0 - depths / HEIGHT, material.values)
+    assert forces[-1] == pytest.approx(7.600, rel=1e-3)
+    np.testing.assert_allclose(forces, np.interp(1e3 * depths, displacement_mm, force), rtol=1e-3)
+    np.testing.assert_allclose(forces, ours, rtol=1e-3)
 
 
 def test_relaxation_is_refused():

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from export_materials import BULKS, PARAMETERS, TERMS, read, write
+from export_materials import BULKS, PARAMETERS, STRETCHES, TERMS, our_stress, read, write
 
 import tissue_sim as ts
 from tissue_sim.exports.febio import FEBIO
@@ -17,8 +17,6 @@ from tissue_sim.exports.unit_systems import SI, UNIT_SYSTEMS
 #: Number of the pressure model -> pressure p(J) / K.
 PRESSURES = {0: lambda J: np.log(J) / J, 1: lambda J: 0.5 * (J - 1 / J), 2: lambda J: J - 1,
              3: lambda J: 0.5 * (J - 1 / J)}
-#: Stretches along the axis of the specimen.
-STRETCHES = np.linspace(0.5, 2.0, 31)
 
 
 def numbers(element):
@@ -55,13 +53,6 @@ def stress_of_text(text, stretches, relaxed=None):
         factor = outer["g0"] + sum(outer[f"g{i}"] * np.exp(-relaxed / outer[f"t{i}"]) for i in range(1, 7)
                                    if f"g{i}" in outer)
     return factor * deviatoric_stress(elastic, stretches, J) + pressure
-
-
-def our_stress(material, K, stretches, factor=1.0):
-    J = float(np.prod(stretches))
-    isochoric = np.asarray(stretches) / J**(1 / 3)
-    tau = material.energy_law.compute_energy_and_kirchhoff_stresses(isochoric, material.parameters)[1]
-    return factor * (tau - tau.mean()) / J + K * (J - 1.0)
 
 
 @pytest.mark.parametrize("units", UNIT_SYSTEMS)
