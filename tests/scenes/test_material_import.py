@@ -96,6 +96,20 @@ def test_an_existing_file_is_kept(run, tmp_path):
     assert run(GEL, "--overwrite")[0] == 0
 
 
+@pytest.mark.parametrize(("program", "expected"), [
+    ("abaqus", ["Units (SI)"]), ("calculix", ["Units (SI)", "K / mu0 = 10000 replaces"]),
+    ("febio", ["Units (SI)", "K / mu0 = 10000 replaces", "The stress of the type Yeoh"])])
+def test_the_export_prints_its_remarks(program, expected, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    material = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4})
+    ts.write_material_file(ts.MaterialFile.of(material), "a.material.json")
+    assert main(["material", "export", "a.material.json", "--to", program, "-o", "a.txt", "--json"]) == 0
+    remarks = json.loads(capsys.readouterr().out)["remarks"]
+    assert [remark[:len(begin)] for remark, begin in zip(remarks, expected, strict=True)] == expected
+    assert main(["material", "export", "a.material.json", "--to", program, "-o", "b.txt"]) == 0
+    assert all(remark in capsys.readouterr().out for remark in remarks[:1])
+
+
 @pytest.mark.parametrize("program", ["abaqus", "calculix", "febio"])
 @pytest.mark.parametrize("units", ["SI", "mm-N-MPa", "mm-mN-kPa"])
 def test_export_and_import(program, units, tmp_path, monkeypatch):

@@ -108,14 +108,16 @@ class AbaqusTarget(ExportTarget):
 
     def write(self, content: ExportContent) -> str:
         """Return the keyword blocks of the materials."""
-        remarks = list(self.list_file_remarks(content))
-        if any(material.viscoelastic is not None for material in content.materials):
-            remarks.append(_RELAXATION_REMARK)
-        lines = format_comment_lines(remarks, "** ")
+        lines = format_comment_lines(self.list_file_remarks(content), "** ")
         for label, material in zip(content.labels, content.materials, strict=True):
             self.require_available_parts(material)
             lines += self._list_material_lines(material, label, content.units)
         return "\n".join(lines) + "\n"
+
+    def list_file_remarks(self, content: ExportContent) -> tuple[str, ...]:
+        """Return the remarks of a file, with the difference of relaxation."""
+        is_relaxing = any(material.viscoelastic is not None for material in content.materials)
+        return (*super().list_file_remarks(content), *([_RELAXATION_REMARK] if is_relaxing else ()))
 
     def _list_material_lines(self, material: Material, label: str, units: UnitSystem) -> list[str]:
         """Return the lines of one material."""

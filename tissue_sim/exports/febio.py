@@ -65,8 +65,6 @@ class FebioTarget(ExportTarget):
     def write(self, content: ExportContent) -> str:
         """Return a document with one material for each material of the content."""
         remarks = [remark.replace("--", "- -") for remark in self.list_file_remarks(content)]
-        if any("C20" in material.parameters for material in content.materials):
-            remarks.append(_YEOH_REMARK)
         lines = ['<?xml version="1.0" encoding="UTF-8"?>', *(f"{line} -->" for line in
                                                              format_comment_lines(remarks, "<!-- ")),
                  '<febio_spec version="4.0">', '  <Module type="solid"/>', "  <Material>"]
@@ -74,6 +72,11 @@ class FebioTarget(ExportTarget):
             self.require_available_parts(material)
             lines += self._list_material_lines(material, f'id="{number}" name="{label}"', content.units)
         return "\n".join([*lines, "  </Material>", "</febio_spec>"]) + "\n"
+
+    def list_file_remarks(self, content: ExportContent) -> tuple[str, ...]:
+        """Return the remarks of a file, with the convention of the type Yeoh."""
+        has_yeoh = any("C20" in material.parameters for material in content.materials)
+        return (*super().list_file_remarks(content), *([_YEOH_REMARK] if has_yeoh else ()))
 
     def _list_material_lines(self, material: Material, attributes: str, units: UnitSystem) -> list[str]:
         """Return the lines of one material."""

@@ -177,6 +177,10 @@ class FunctionTarget(ExportTarget):
         self.title = name  # type: ignore[misc]
         self._function = function
 
+    def list_file_remarks(self, content: ExportContent) -> tuple[str, ...]:
+        """Return no remarks, because the text is that of the function alone."""
+        return ()
+
     def write(self, content: ExportContent) -> str:
         """Return the texts of the function for all materials."""
         return "".join(self._function(material) for material in content.materials)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from argparse import Namespace
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from scenes.commands.shared.command import Command, CommandResult
 from scenes.commands.shared.parsing import (
@@ -14,6 +15,9 @@ from scenes.commands.shared.parsing import (
     check_output_file,
 )
 from tissue_sim.errors import InputError
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 
 def _add_export_flags(parser: InputErrorArgumentParser) -> None:
@@ -52,13 +56,18 @@ def _export_material_file(arguments: Namespace) -> CommandResult:
         content = replace(content, constants=(linearise_material(material, target.max_poisson),), remarks=(
             "The elastic constants are those of the calibrated material at rest; their force error is unknown.",))
     try:
-        text = target.write(content)
+        text, remarks = target.write(content), target.list_file_remarks(content)
     except InputError as error:
         raise error.with_location(file=arguments.file) from None
     write_text(arguments.output, text)
-    return CommandResult(lambda: {"file": str(arguments.output), "to": arguments.to, "units": units.name},
-                         lambda console: console.print(f"wrote {arguments.output} for {target.title}, units "
-                                                       f"{units.name}", markup=False, soft_wrap=True))
+
+    def print_file_and_remarks(console: Console) -> None:
+        """Print the written file, and the remarks that the file states as comments."""
+        for line in (f"wrote {arguments.output} for {target.title}, units {units.name}", *remarks):
+            console.print(line, markup=False, soft_wrap=True)
+
+    return CommandResult(lambda: {"file": str(arguments.output), "to": arguments.to, "units": units.name,
+                                  "remarks": list(remarks)}, print_file_and_remarks)
 
 
 EXPORT = Command("export", "convert a material file to the format of another program",
