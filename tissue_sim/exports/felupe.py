@@ -11,7 +11,6 @@ from __future__ import annotations
 import re
 
 from tissue_sim.errors import InputError
-from tissue_sim.exports.bulk import describe_finite_bulk_modulus, make_finite_bulk_modulus
 from tissue_sim.exports.target import ExportContent, ExportTarget, format_comment_lines
 from tissue_sim.exports.unit_systems import UnitSystem
 from tissue_sim.laws import InvariantLaw, Law, StretchLaw
@@ -19,11 +18,9 @@ from tissue_sim.material.material import Material
 
 #: Functions of `tensortrax.math` that the energy of a law may use.
 _MATH = frozenset({"cos", "cosh", "exp", "log", "sin", "sinh", "sqrt", "tan", "tanh"})
-#: Ratio K / mu0 of incompressible materials, 1: bonded compression of a cylinder loses 1e-5 of its force.
-INCOMPRESSIBLE_RATIO = 1e5
 
 _HEADER = """\
-# Material for FElupe 11, written by tissue-sim. Units: {units}.
+# Material for FElupe 11, written by tissue-sim.
 # W = isochoric energy + K/2 (J - 1)^2 with K = BULK. Needs {packages}.
 # Elements that do not lock: fem.SolidBodyNearlyIncompressible(make_isochoric_material(), field, bulk=BULK[name]), or
 # make_mixed_material() on fem.FieldsMixed(region, n=3). make_material() is for displacement fields.
@@ -69,6 +66,7 @@ class FelupeTarget(ExportTarget):
     title = "FElupe 11"
     suffix = ".py"
     verification = "run in the target"
+    incompressible_bulk_ratio = 1e5
     part_remarks = {"viscoelastic": "its finite_strain_viscoelastic splits the deformation of a neo-Hookean solid, "
                                     "ours is a hereditary integral",
                     "softening": "its Ogden-Roxburgh model has an error function where ours has tanh"}
@@ -83,20 +81,17 @@ class FelupeTarget(ExportTarget):
                 energies[material.law] = _write_energy_function(material.energy_law)
                 call = _write_call_of_energy_function(material, content.units)
             isochoric.append(f"    {label!r}: lambda: {call},")
-            K = make_finite_bulk_modulus(material, INCOMPRESSIBLE_RATIO)
-            bulk.append(f"    {label!r}: {K / content.units.stress:.15g},")
+            bulk.append(f"    {label!r}: {self.compute_bulk_modulus(material) / content.units.stress:.15g},")
             if material.density is not None:
                 densities.append(f"    {label!r}: {material.density / content.units.density:.15g},")
-        remarks = (*content.remarks, *describe_finite_bulk_modulus(content.materials[0], INCOMPRESSIBLE_RATIO))
         is_differentiated = any("Hyperelastic" in line for line in isochoric)
         packages = "the packages felupe and tensortrax" if is_differentiated else "the package felupe"
-        units = f"{content.units.name}, stresses in {content.units.stress_name}"
         tables = ["", "#: Label -> function that returns the isochoric part.", "ISOCHORIC = {", *isochoric, "}",
                   f"#: Label -> bulk modulus K, {content.units.stress_name}.", "BULK = {", *bulk, "}"]
         if densities:
             tables += ["#: Label -> density in the units of this file.", "DENSITY = {", *densities, "}"]
-        return (_HEADER.format(units=units, packages=packages)
-                + "".join(line + "\n" for line in format_comment_lines(remarks, "# "))
+        return (_HEADER.format(packages=packages)
+                + "".join(line + "\n" for line in format_comment_lines(self.list_file_remarks(content), "# "))
                 + "import felupe as fem\n" + _write_imports("".join(energies.values())) + "".join(energies.values())
                 + "\n" * bool(energies) + "\n".join(tables) + "\n" + _FUNCTIONS.format(first=content.labels[0]))
 

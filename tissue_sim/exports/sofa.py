@@ -10,17 +10,12 @@ J - 1.
 from __future__ import annotations
 
 from tissue_sim.errors import InputError
-from tissue_sim.exports.bulk import describe_finite_bulk_modulus, make_finite_bulk_modulus
 from tissue_sim.exports.target import ExportContent, ExportTarget, format_comment_lines
 from tissue_sim.exports.unit_systems import UnitSystem
 from tissue_sim.material.material import Material
 
-#: Ratio K / mu0 of incompressible materials, 1: Poisson's ratio 0.4995. A higher ratio increases the locking of SOFA's
-#: linear tetrahedra more than it improves the material.
-INCOMPRESSIBLE_RATIO = 1e3
-
 _HEADER = """\
-# Material for SOFA 26.06 (SofaPython3), written by tissue-sim. Units: {units}.
+# Material for SOFA 26.06 (SofaPython3), written by tissue-sim.
 # Formulas and order of the parameters are those of the source of SOFA v26.06.00; other documents of SOFA show other
 # orders. Not run in SOFA. I1 and I2 are the invariants of C, l1, l2 and l3 its principal stretches, J = l1 l2 l3.
 # MooneyRivlin, c1 c2 k0: W = c1 (J^(-2/3) I1 - 3) + c2 (J^(-4/3) I2 - 3) + k0/2 (ln J)^2
@@ -53,23 +48,23 @@ class SofaTarget(ExportTarget):
 
     title = "SOFA 26.06"
     suffix = ".py"
+    # Poisson's ratio 0.4995; a higher ratio increases the locking of linear tetrahedra more than it improves the law.
+    incompressible_bulk_ratio = 1e3
 
     def write(self, content: ExportContent) -> str:
         """Return the fragment, with the parameters of all materials by label."""
-        remarks, entries = list(content.remarks), []
+        entries = []
         for label, material in zip(content.labels, content.materials, strict=True):
             self.require_available_parts(material)
-            entries.append(f"    {label!r}: {_make_arguments(material, content.units)!r},")
-        remarks += describe_finite_bulk_modulus(content.materials[0], INCOMPRESSIBLE_RATIO)
-        lines = [*format_comment_lines(remarks, "# "), "",
+            arguments = _make_arguments(material, self.compute_bulk_modulus(material), content.units)
+            entries.append(f"    {label!r}: {arguments!r},")
+        lines = [*format_comment_lines(self.list_file_remarks(content), "# "), "",
                  "#: Label -> arguments of the force field, and density.", "MATERIALS = {", *entries, "}"]
-        units = f"{content.units.name}, stresses in {content.units.stress_name}"
-        return _HEADER.format(units=units) + "\n".join(lines) + "\n" + _FUNCTION.format(first=content.labels[0])
+        return _HEADER + "\n".join(lines) + "\n" + _FUNCTION.format(first=content.labels[0])
 
 
-def _make_arguments(material: Material, units: UnitSystem) -> dict[str, str]:
-    """Return the arguments of the force field for a material, and its density if it is known."""
-    K = make_finite_bulk_modulus(material, INCOMPRESSIBLE_RATIO)
+def _make_arguments(material: Material, K: float, units: UnitSystem) -> dict[str, str]:
+    """Return the arguments of the force field for a material with a bulk modulus, Pa, and its density if known."""
     values = material.values
     match material.law:
         case "neo_hooke" | "reduced_polynomial_1":

@@ -123,7 +123,8 @@ class ExportTarget(ABC):
         Raises:
             InputError: a part of the material has no equivalent in this package, with the line.
         """
-        raise NotImplementedError(f"{type(self).__name__} splits files and must define read_material")
+        raise InputError(f"materials of {self.title} cannot be imported. Use a file of Abaqus, CalculiX or FEBio",
+                         field="--from")
 
     def read(self, text: str, units: UnitSystem) -> tuple[ImportedMaterial, ...]:
         """Return all materials of a file; arguments and errors as in `split_materials` and `read_material`."""
@@ -205,4 +206,5 @@ def describe_finite_bulk_modulus(ratio: float) -> str:
 
 def format_comment_lines(remarks: Sequence[str], prefix: str) -> list[str]:
     """Return remarks as comment lines of at most 100 characters with a prefix such as ``"** "``."""
-    return [prefix + line for remark in remarks for line in textwrap.wrap(remark, 100)]
+    return [prefix + line for remark in remarks for part in remark.splitlines()
+            for line in textwrap.wrap(part, 100)]

@@ -8,8 +8,9 @@ attributes cannot represent, is JSON text in ``customData``, so that each number
 
 from __future__ import annotations
 
+import importlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
 
@@ -18,7 +19,7 @@ import numpy as np
 from tissue_sim.decode import parse_json_rejecting_duplicate_keys
 from tissue_sim.errors import InputError
 from tissue_sim.exports.elastic_constants import ElasticConstants
-from tissue_sim.exports.target import ExportContent, ExportTarget
+from tissue_sim.exports.target import ExportContent, ExportTarget, ImportedMaterial
 from tissue_sim.exports.unit_systems import UnitSystem
 from tissue_sim.material.file import (
     MaterialFile,
@@ -71,17 +72,16 @@ class UsdTarget(ExportTarget):
         root = pxr.UsdGeom.Xform.Define(stage, ROOT)
         stage.SetDefaultPrim(root.GetPrim())
         usd_material = pxr.UsdShade.Material.Define(stage, f"{ROOT}/{content.labels[0]}")
-        _write_material(pxr, usd_material.GetPrim(), content)
+        _write_material(pxr, usd_material.GetPrim(), content, self.list_file_remarks(content))
         if content.mesh is not None:
             _write_mesh(pxr, stage, content.mesh, units, usd_material)
         return stage.GetRootLayer().ExportToString()
 
-    def read(self, text: str, units: UnitSystem) -> tuple[Material, ...]:
-        """Return the calibrated material of a stage and its variants.
+    def split_materials(self, text: str) -> dict[str, str]:
+        """Return the JSON texts of the calibrated material of a stage and of its variants, by name of the variant.
 
         Args:
             text: ``.usda`` text that this target wrote.
-            units: ignored; the materials in ``customData`` are in SI.
 
         Raises:
             InputError: usd-core is not installed, text that is no USD, or a stage without a calibrated material.
@@ -92,12 +92,27 @@ class UsdTarget(ExportTarget):
             layer.ImportFromString(text)
         except pxr.Tf.ErrorException as error:
             raise InputError(f"must be USD text (.usda); got {error}. Export the stage again", field="file") from None
-        found = _list_custom_data(layer)
+        found = _find_material_files(layer)
         if not found:
             raise InputError("must contain a material that was exported by tissue_sim; the customData of no prim has "
                              f"the key {KEY!r}. Export the material again", field="file")
-        files = (parse_json_rejecting_duplicate_keys(data["material_file"]) for data in found)
-        return tuple(make_material_file_from_json_data(file).material for file in files)
+        return found
+
+    def read_material(self, section: str, units: UnitSystem) -> ImportedMaterial:
+        """Return the material of a JSON text in SI, whatever the units of the stage."""
+        data = parse_json_rejecting_duplicate_keys(section)
+        return ImportedMaterial(make_material_file_from_json_data(data).material)
+
+    def list_file_remarks(self, content: ExportContent) -> tuple[str, ...]:
+        """Return the remarks of the file, with the parts of the material that the attributes do not represent."""
+        missing = [name for part, name in _PARTS.items() if getattr(content.materials[0], part) is not None]
+        remarks = [f"The law {content.materials[0].law} of the calibrated material is in customData, SI units; the "
+                   "attributes are the elastic constants that replace it."]
+        if missing:
+            remarks.append(f"The attributes do not represent {' and '.join(missing)}.")
+        if any(constants.damping_time > 0.0 for constants in content.constants):
+            remarks.append("No attribute represents damping; its time is damping_time_s in customData.")
+        return (*super().list_file_remarks(content), *remarks)
 
 
 def _import_pxr() -> Any:
@@ -107,37 +122,38 @@ def _import_pxr() -> Any:
         InputError: usd-core is not installed.
     """
     try:
-        import pxr
-        from pxr import Sdf, Tf, Usd, UsdGeom, UsdPhysics, UsdShade  # noqa: F401
+        pxr = importlib.import_module("pxr")
+        for name in ("Sdf", "Tf", "Usd", "UsdGeom", "UsdPhysics", "UsdShade"):
+            importlib.import_module(f"pxr.{name}")
     except ImportError as error:
         raise InputError(f"USD requires the package usd-core ({error}); install it with pip install 'tissue-sim[usd]'",
                          field="--to") from None
     return pxr
 
 
-def _list_custom_data(layer: Any) -> list[Mapping[str, Any]]:
-    """Return the dictionaries of this package in the customData of a layer: the calibrated material, then the variants.
+def _find_material_files(layer: Any) -> dict[str, str]:
+    """Return the JSON texts of the material files in the customData of a layer: the calibrated one, then the variants.
 
     The layer is not composed, so that no other file to which it refers is opened.
     """
-    found: dict[tuple[bool, int, str], Mapping[str, Any]] = {}
+    found: dict[str, str] = {}
 
     def visit(path: Any) -> None:
         spec = layer.GetPrimAtPath(path)
         if spec is not None and KEY in spec.customData:
             variant = path.GetVariantSelection()[1] if path.IsPrimVariantSelectionPath() else CALIBRATED
-            found[variant != CALIBRATED, len(variant), variant] = spec.customData[KEY]
+            found[variant] = spec.customData[KEY]["material_file"]
 
     layer.Traverse("/", visit)
-    return [found[key] for key in sorted(found)]
+    return {name: found[name] for name in sorted(found, key=lambda name: (name != CALIBRATED, len(name), name))}
 
 
-def _write_material(pxr: Any, prim: Any, content: ExportContent) -> None:
+def _write_material(pxr: Any, prim: Any, content: ExportContent, remarks: Sequence[str]) -> None:
     """Write the constants and the calibrated material to a prim, in variants if there are further materials."""
     pxr.UsdPhysics.MaterialAPI.Apply(prim)
     for api in _MATERIAL_APIS:
         prim.AddAppliedSchema(api)
-    prim.SetDocumentation("\n".join(_list_remarks(content)))
+    prim.SetDocumentation("\n".join(remarks))
     variants = prim.GetVariantSets().AddVariantSet(VARIANT_SET) if len(content.materials) > 1 else None
     for number, (material, constants) in enumerate(zip(content.materials, content.constants, strict=True)):
         with ExitStack() as stack:
@@ -164,19 +180,6 @@ def _write_values(pxr: Any, prim: Any, material: Material, constants: ElasticCon
     data = convert_material_file_to_json_data(MaterialFile.of(material)) if material_file is None else material_file
     prim.SetCustomDataByKey(KEY, {"material_file": json.dumps(data, ensure_ascii=False, allow_nan=False),
                                   "damping_time_s": constants.damping_time})
-
-
-def _list_remarks(content: ExportContent) -> list[str]:
-    """Return the sentences of the documentation of the material."""
-    missing = [name for part, name in _PARTS.items() if getattr(content.materials[0], part) is not None]
-    remarks = [*content.remarks, f"Units of the stage: {content.units.name}, stresses in {content.units.stress_name}.",
-               f"The law {content.materials[0].law} of the calibrated material is in customData, SI units; the "
-               "attributes are the elastic constants that replace it."]
-    if missing:
-        remarks.append(f"The attributes do not represent {' and '.join(missing)}.")
-    if any(constants.damping_time > 0.0 for constants in content.constants):
-        remarks.append("No attribute represents damping; its time is damping_time_s in customData.")
-    return remarks
 
 
 def _write_mesh(pxr: Any, stage: Any, mesh: SolidMesh, units: UnitSystem, usd_material: Any) -> None:

@@ -24,7 +24,7 @@ def _add_export_flags(parser: InputErrorArgumentParser) -> None:
     """Add the material file and the flags of the written file."""
     parser.add_argument("file", type=Path, metavar="FILE", help="material file NAME.material.json")
     parser.add_argument("--to", required=True, metavar="PROGRAM",
-                        help="abaqus, calculix, febio, felupe, sofa or usd, or a program that an installed package adds")
+                        help="abaqus, calculix, febio, felupe, sofa, usd, or a program that an installed package adds")
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT", help="output file")
     parser.add_argument("--units", default="SI", metavar="NAME",
                         help="unit system of the file: SI, mm-N-MPa or mm-mN-kPa (default: %(default)s)")

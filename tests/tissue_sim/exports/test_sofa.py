@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.exports import ExportContent
-from tissue_sim.exports.sofa import INCOMPRESSIBLE_RATIO, SOFA
+from tissue_sim.exports.sofa import SOFA
 from tissue_sim.exports.unit_systems import SI, UNIT_SYSTEMS
 
 #: Bulk response of most tests.
@@ -98,8 +98,8 @@ def test_text_states_what_sofa_needs():
                                                  name="liver 2"),), UNIT_SYSTEMS["mm-N-MPa"], remarks=("a\nb",)))
     assert parse_arguments(text) == {"LIVER_2": {"materialName": "Ogden", "ParameterSet": "0.003 3 1.5",
                                                  "massDensity": "1.04e-09"}}
-    assert f"K = {INCOMPRESSIBLE_RATIO:g} mu0" in text and "v26.06.00" in text and "# a\n# b\n" in text
-    assert "K = " not in SOFA.write(ExportContent((MATERIALS["ogden"],)))
+    assert f"K / mu0 = {SOFA.incompressible_bulk_ratio:g} replaces" in text and "v26.06.00" in text and "# a\n# b\n" in text
+    assert "K / mu0 = " not in SOFA.write(ExportContent((MATERIALS["ogden"],)))
 
 
 @pytest.mark.parametrize(("material", "words"), [
