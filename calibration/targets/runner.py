@@ -114,6 +114,8 @@ class TargetRunner(ABC):
 
 
 #: Name of an export target -> its runner.
-RUNNERS: Registry[TargetRunner] = Registry("runner of a target", "tissue_sim.target_runners", {},
-                                           accepts=lambda runner: isinstance(runner, TargetRunner),
-                                           expected="an object of a class derived from TargetRunner")
+RUNNERS: Registry[TargetRunner] = Registry("runner of a target", "tissue_sim.target_runners", {
+    "mujoco": "calibration.targets.mujoco_flex:RUNNER",
+    "newton": "calibration.targets.newton_vbd:RUNNER",
+}, accepts=lambda runner: isinstance(runner, TargetRunner),
+    expected="an object of a class derived from TargetRunner")

@@ -19,6 +19,8 @@ EXPORTERS: Registry[Exporter] = Registry("target of an export", "tissue_sim.expo
     "calculix": "tissue_sim.exports.calculix:CALCULIX",
     "febio": "tissue_sim.exports.febio:FEBIO",
     "felupe": "tissue_sim.exports.felupe:FELUPE",
+    "mujoco": "tissue_sim.exports.mujoco:MUJOCO",
+    "newton": "tissue_sim.exports.newton:NEWTON",
     "sofa": "tissue_sim.exports.sofa:SOFA",
     "usd": "tissue_sim.exports.usd:USD",
 }, accepts=lambda target: isinstance(target, ExportTarget) or callable(target),
