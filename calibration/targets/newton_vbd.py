@@ -7,13 +7,15 @@ factor of the dissipation ``k_damp/2 |dC/dt|^2`` with ``C = F^T F``, thus of the
 
 Nodes of the base and of a bonded face are particles of zero mass, whose positions are prescribed. In contact the tool
 is a kinematic body that nodes touch with the stiffness of a penalty. The friction of Newton is regularised by the
-velocity (`VbdSettings.friction_speed`), so that friction forces fade at rest: tests with friction need times.
+velocity, so that friction forces fade at rest. The tool of a quasi-static test with friction therefore moves slowly
+(`VbdSettings.tool_speed`) without waiting.
 """
 
 from __future__ import annotations
 
 import importlib.util
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -46,6 +48,7 @@ class VbdSettings:
         particle_radius: radius of the nodes in contact, m.
         contact_stiffness: stiffness of the contact of a node, N/m.
         friction_speed: sliding speed below which friction is less than Coulomb's, m/s.
+        tool_speed: speed of the tool in quasi-static tests with friction, m/s.
         contact_gap: distance from the tool in which nodes are listed for contact, m.
         shaft_length: length of the cylinder of a flat punch, m.
     """
@@ -57,6 +60,7 @@ class VbdSettings:
     particle_radius: float = 1e-6
     contact_stiffness: float = 2e3
     friction_speed: float = 1e-4
+    tool_speed: float = 2e-3
     contact_gap: float = 2e-3
     shaft_length: float = 0.05
 
@@ -114,7 +118,9 @@ class VbdBody(SteppedSoftBody):
         self._solver = newton.solvers.SolverVBD(model, iterations=SETTINGS.iterations,
                                                 friction_epsilon=SETTINGS.friction_speed,
                                                 rigid_body_particle_contact_buffer_size=len(self.surface))
-        self._pipeline = self._contacts = self._observables = None
+        self._pipeline: Any = None
+        self._contacts: Any = None
+        self._observables: Any = None
         if not test.is_bonded:
             self._pipeline = newton.CollisionPipeline(model, soft_contact_gap=SETTINGS.contact_gap)
             self._contacts = self._pipeline.contacts()
@@ -200,6 +206,10 @@ class NewtonRunner(TargetRunner):
         constants = require_constants(material, self.title)
         if not test.is_bonded:
             require_sphere_or_cylinder(test.tool, self.title)
+        if test.times is None and not test.is_bonded and test.friction:
+            # Friction forces fade at rest.
+            steps = np.linalg.norm(np.diff(test.positions, axis=0), axis=1)
+            test = replace(test, times=np.concatenate([[0.0], np.cumsum(steps)]) / SETTINGS.tool_speed)
         if test.times is None:
             constants = with_minimum_damping(constants, SETTINGS.damping_time)
         body = VbdBody(test, constants)

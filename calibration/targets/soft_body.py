@@ -104,8 +104,8 @@ def require_sphere_or_cylinder(tool: Tool, title: str) -> None:
     """
     if tool.name not in ("sphere", "flat") or tool.edge_radius:
         shape = f"{tool.name} with a rounded edge" if tool.name == "flat" else tool.name
-        raise InputError(f"must be a sphere, or a flat punch with a sharp edge, in contact in {title}; got {shape}. Use "
-                         "one of these tools, or a bonded face.", field="tool")
+        raise InputError(f"must be a sphere, or a flat punch with a sharp edge, in contact in {title}; got {shape}. "
+                         "Use one of these tools, or a bonded face.", field="tool")
 
 
 class SteppedSoftBody(ABC):

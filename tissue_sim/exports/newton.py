@@ -35,9 +35,9 @@ def add_soft_body(builder, vertices, indices, variant={first!r}, position=(0.0, 
 def compute_k_damp(constants: ElasticConstants) -> float:
     """Return Newton's factor of viscous damping, Pa s: ``k_damp = mu damping_time / 2``.
 
-    `SolverVBD` has the dissipation ``k_damp/2 |dC/dt|^2`` per volume with ``C = F^T F = 1 + 2 E``. Its viscous stress is
-    ``4 k_damp dE/dt``; that of Kelvin and Voigt in shear is ``2 mu damping_time dE/dt``. The damping of the volume is
-    that of the shear, without the part of lambda.
+    `SolverVBD` has the dissipation ``k_damp/2 |dC/dt|^2`` per volume with ``C = F^T F = 1 + 2 E``. Its viscous stress
+    is ``4 k_damp dE/dt``; that of Kelvin and Voigt in shear is ``2 mu damping_time dE/dt``. The damping of the volume
+    is that of the shear, without the part of lambda.
     """
     return 0.5 * constants.mu * constants.damping_time
 
