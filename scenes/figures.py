@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from calibration.report.png import render_png
+from calibration.targets.matching import MatchedConstants, TargetComparison
 from scenes.colour_scale import choose_colour_scale
 from scenes.field_labels import LABELS
 from scenes.solid_figures import (
@@ -259,6 +260,38 @@ def _find_tool_face_height_mm(surface: np.ndarray, tool: Tool) -> float:
     # Points at the rim are left out: tissue on the shaft may penetrate the tool by the contact tolerance.
     below = surface[:, 0] <= (np.inf if tool.face_radius is None else 0.999e3 * tool.face_radius)
     return float(surface[below, 1].max())
+
+
+def draw_target_comparison(comparison: TargetComparison, title: str, path: Path) -> None:
+    """Draw forces of a test in another program over depth with the calibrated ones, and their errors.
+
+    Args:
+        comparison: forces in the program, with fitted constants or with the law of the material.
+        title: name of the program.
+        path: image file; its suffix .png, .svg or .pdf selects the format.
+    """
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9.0, 3.8), layout="constrained")
+    forces, errors = figure.subplots(1, 2)
+    calibrated = comparison.calibrated
+    forces.plot(1e3 * calibrated.depths, calibrated.forces, color="black", linewidth=2, label="calibrated")
+    curves = [("o-", "#0072B2", title, comparison.depths, comparison.target_forces, comparison.errors)]
+    if isinstance(comparison, MatchedConstants):
+        curves = [("v--", "#D55E00", f"{title}, before compensation", comparison.uncompensated_depths,
+                   comparison.uncompensated_forces, comparison.uncompensated_errors),
+                  ("o-", "#0072B2", f"{title}, after compensation", *curves[0][3:])]
+    for style, colour, label, depths, force, error in curves:
+        forces.plot(1e3 * depths, force, style, color=colour, markersize=4, label=label)
+        errors.plot(1e3 * depths, 100.0 * error, style, color=colour, markersize=4, label=label)
+    errors.axhline(0.0, color="black", linewidth=1)
+    end = 1.05e3 * float(calibrated.depths.max())
+    forces.set(xlabel="depth [mm]", ylabel="force [N]", xlim=(0.0, end), ylim=(0.0, None))
+    errors.set(xlabel="depth [mm]", ylabel="force error [%]", xlim=(0.0, end))
+    forces.legend(fontsize=8)
+    for axes in (forces, errors):
+        axes.grid(alpha=0.3)
+    write_figure_file(figure, path)
 
 
 def write_figure_file(figure, path: Path) -> None:

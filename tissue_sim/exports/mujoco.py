@@ -55,7 +55,7 @@ def _list_flex_lines(label: str, constants: ElasticConstants, mesh: SolidMesh | 
     if mesh is None:
         return [f'    <!-- {label}: put this element into your flexcomp dim="3", whose mass is {density:g} kg/m3 '
                 "times its volume: -->", f"    <!-- {make_elasticity_element(constants)} -->"]
-    tetrahedra = mesh.divide_into_linear_tetrahedra()
+    tetrahedra = mesh.tetrahedra
     corners = mesh.nodes[tetrahedra]
     volume = float(np.linalg.det(corners[:, 1:] - corners[:, :1]).sum()) / 6.0
     return ["    " + make_flex_element(constants, mass=density * volume, nodes=mesh.nodes, tetrahedra=tetrahedra,

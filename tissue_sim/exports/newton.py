@@ -14,7 +14,8 @@ _DENSITY = 1000.0
 
 _FUNCTION = '''
 
-def add_soft_body(builder, vertices, indices, variant={first!r}, position=(0.0, 0.0, 0.0)):
+def add_soft_body(builder, vertices, indices, variant={first!r}, position=(0.0, 0.0, 0.0),
+                  particle_radius=1e-6):
     """Add the tissue to a newton.ModelBuilder.
 
     Args:
@@ -23,12 +24,14 @@ def add_soft_body(builder, vertices, indices, variant={first!r}, position=(0.0, 
         indices: indices of the corners of the tetrahedra, shape (4 m,).
         variant: key of CONSTANTS.
         position: position of the origin of the vertices, m.
+        particle_radius: radius of the vertices in contact, m.
     """
     import warp as wp
 
     builder.add_soft_mesh(pos=wp.vec3(*position), rot=wp.quat_identity(), scale=1.0, vel=wp.vec3(0.0, 0.0, 0.0),
                           vertices=[wp.vec3(*map(float, vertex)) for vertex in vertices],
-                          indices=[int(index) for index in indices], **CONSTANTS[variant])
+                          indices=[int(index) for index in indices], particle_radius=particle_radius,
+                          **CONSTANTS[variant])
 '''
 
 
