@@ -1,12 +1,11 @@
 """Punch on a 3D solid and on MuJoCo's flex with the same nodes: force over depth against the truth, and times.
 
-    python -m benchmarks solid_peers [--mujoco PYTHON] [--sizes 1800 3300 5800] [--figure FILE] [--json]
+    python -m benchmarks solid_peers [--sizes 1800 3300 5800] [--figure FILE] [--json]
 
 The study's cylinder with a bonded flat punch of 16 mm, 10 mm deep. The truth is the axisymmetric solver, `accurate`,
 and to 5 mm the quadratic tetrahedra of another program in tests/reference. MuJoCo has linear tetrahedra and Saint
 Venant-Kirchhoff's law: each hexahedron is cut into tetrahedra, the shear modulus at rest is the same, Poisson's ratio
-is 0.49 and 0.45, which a neo-Hookean solid of ours has, too. PYTHON is one that has MuJoCo (`solid_peers_mujoco`);
-without one its columns are left out, and the reason is said.
+is 0.49 and 0.45, which a neo-Hookean solid of ours has, too. Without MuJoCo its columns are left out, with a message.
 """
 
 from __future__ import annotations
@@ -16,10 +15,7 @@ import os
 
 os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = os.environ["MKL_NUM_THREADS"] = "1"
 
-import json
-import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 
@@ -29,12 +25,13 @@ import tissue_sim as ts
 from benchmarks import ROOT
 from benchmarks.measure import about, option_parser, show, table
 from benchmarks.realtime.multirate import mesh_of
+from calibration.targets.matching import make_target_test
+from calibration.targets.runner import RUNNERS
+from tissue_sim.exports.elastic_constants import ElasticConstants
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.mesh.sections import subdivide_into_tetrahedra
 from tissue_sim.mesh.solid import SolidMesh
 
-_HERE = Path(__file__).parent
 DEPTHS = np.arange(1, 11) * 1e-3
 STUDY = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
 RATIOS = (0.49, 0.45)
@@ -76,28 +73,17 @@ def ours(material: ts.Material, mesh: SolidMesh) -> dict:
             "step_cpu_s": float(np.median(spent)), "ended": "" if len(forces) == len(DEPTHS) else step.status.message}
 
 
-def mujoco(python: str, poisson: float, mesh: SolidMesh, seconds: float) -> dict | None:
-    """Return the CPU time of a time step in MuJoCo, s, and the number of steps per depth; None without MuJoCo."""
-    corners = mesh.connectivity[:, mesh.element.local_corner_indices]
-    cells = corners[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4)
-    job = {"nodes": mesh.nodes, "tetrahedra": cells, "depths": DEPTHS,
-           "base": mesh.sets["base"], "face": mesh.sets["face"], "young": 2.0 * STUDY.mu0 * (1.0 + poisson),
-           "poisson": poisson, "seconds": seconds}
-    with tempfile.TemporaryDirectory() as folder:
-        np.savez(Path(folder) / "job.npz", **job)
-        # In the folder, where it writes its log.
-        answer = subprocess.run([python, str(_HERE / "solid_peers_mujoco.py"), str(Path(folder) / "job.npz")],
-                                capture_output=True, text=True, cwd=folder, env={**os.environ, "PYTHONPATH": ""})
-    if answer.returncode:
-        print(f"MuJoCo is left out: {answer.stderr.strip().splitlines()[-1] if answer.stderr.strip() else 'no reason'}",
-              file=sys.stderr)
+def mujoco(poisson: float, mesh: SolidMesh, seconds: float) -> dict | None:
+    """Return the curve of MuJoCo, the CPU time of a time step, s, and the steps per depth; None without MuJoCo."""
+    runner = RUNNERS.find("mujoco", "target")
+    if missing := runner.describe_missing_program():
+        print(f"MuJoCo is left out: {missing}", file=sys.stderr)
         return None
-    found = json.loads(answer.stdout.splitlines()[-1])
-    rows = found["rows"]
-    return {"version": found["version"], "freedoms": found["freedoms"], "poisson": poisson, "ended": found["ended"],
-            "depths": [row["depth"] for row in rows], "forces": [row["force"] for row in rows],
-            "steps": [row["steps"] for row in rows],
-            "step_cpu_s": float(np.median([row["step_cpu_s"] for row in rows])) if rows else float("nan")}
+    curve = runner.run(make_target_test(model(STUDY).experiment, mesh, max_seconds=seconds),
+                       ElasticConstants(2.0 * STUDY.mu0 * (1.0 + poisson), poisson))
+    return {"version": curve.version, "freedoms": 3 * (len(mesh.nodes) - mesh.sets["base"].size), "poisson": poisson,
+            "ended": curve.ended, "depths": curve.depths[1:].tolist(), "forces": curve.forces[1:, 2].tolist(),
+            "steps": curve.steps[1:].tolist(), "step_cpu_s": curve.step_seconds}
 
 
 def measure(size: int, asked) -> dict:
@@ -105,7 +91,7 @@ def measure(size: int, asked) -> dict:
     mesh = mesh_of(size)
     row = {"mesh": size, "ours": ours(STUDY, mesh), "peer": []}
     for poisson in asked.poisson:
-        found = mujoco(asked.mujoco, poisson, mesh, asked.seconds)
+        found = mujoco(poisson, mesh, asked.seconds)
         if found is None:
             break
         row["peer"].append({**found, "ours": ours(nearly_as_the_peer(poisson), mesh)})
@@ -180,7 +166,6 @@ def picture(result: dict, path: Path) -> None:
 
 def main() -> None:
     parser = option_parser(__doc__)
-    parser.add_argument("--mujoco", metavar="PYTHON", default=sys.executable, help="a Python that has MuJoCo")
     parser.add_argument("--sizes", type=int, nargs="+", default=[1800, 3300, 5800], help="of `multirate.MESHES`")
     parser.add_argument("--poisson", type=float, nargs="+", default=list(RATIOS), help="MuJoCo's ratios")
     parser.add_argument("--seconds", type=float, default=120.0, help="that MuJoCo may take for a depth")

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-import importlib
 import math
-import tempfile
 from itertools import product
 
 import numpy as np
@@ -14,10 +11,11 @@ import tissue_sim as ts
 from benchmarks.peers.solid_peers import RATIOS, STUDY, truth
 from benchmarks.realtime.engine_tools import NEEDLE, RESOLUTION, run_mujoco
 from benchmarks.realtime.multirate import mesh_of
-from tissue_sim.mesh.sections import subdivide_into_tetrahedra
+from calibration.targets.runner import RUNNERS, TargetTest
+from tissue_sim.exports.elastic_constants import ElasticConstants
 
-#: Modules that press the soft body of an engine, by its name.
-ENGINES = {"flex": "benchmarks.peers.solid_peers_mujoco", "VBD": "benchmarks.peers.solid_peers_newton"}
+#: Name of the runner that presses the soft body of an engine, by the engine's name.
+ENGINES = {"flex": "mujoco", "VBD": "newton"}
 #: Depths of the soft bodies, m.
 DEPTHS = np.arange(1, 21) * 0.5e-3
 #: Depth at which Young's modulus of the soft bodies is fitted, m.
@@ -34,20 +32,14 @@ PRESS_TIME = 3.0
 
 def compute_engine_curve(engine: str, poisson: float, young: float) -> dict:
     """Return depths, m, forces, N, the cost of a step, and the reason for which the soft body of an engine ended."""
-    peer = importlib.import_module(ENGINES[engine])
-    mesh = mesh_of(MESH)
-    corners = mesh.connectivity[:, mesh.element.local_corner_indices]
-    # MuJoCo writes its log into the current folder.
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
-        found = peer.pressed({"nodes": mesh.nodes, "tetrahedra":
-                              corners[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4),
-                              "depths": DEPTHS, "base": mesh.sets["base"], "face": mesh.sets["face"], "young": young,
-                              "poisson": poisson, "seconds": LONGEST})
-    rows = found["rows"]
-    return {"young": young, "poisson": poisson, "ended": found["ended"],
-            "depths": [row["depth"] for row in rows], "forces": [row["force"] for row in rows],
-            "steps": [row["steps"] for row in rows],
-            "step_cpu_s": float(np.median([row["step_cpu_s"] for row in rows])) if rows else math.nan}
+    positions = np.zeros((DEPTHS.size + 1, 3))
+    positions[1:, 2] = -DEPTHS
+    curve = RUNNERS.find(ENGINES[engine], "target").run(
+        TargetTest(mesh_of(MESH), NEEDLE.experiment.tool, positions, is_bonded=True, max_seconds=LONGEST),
+        ElasticConstants(young, poisson))
+    return {"young": young, "poisson": poisson, "ended": curve.ended, "depths": curve.depths[1:].tolist(),
+            "forces": curve.forces[1:, 2].tolist(), "steps": curve.steps[1:].tolist(),
+            "step_cpu_s": curve.step_seconds}
 
 
 def compute_coupled_curve() -> dict:

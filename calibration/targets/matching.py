@@ -264,6 +264,20 @@ def fit_scale(forces: np.ndarray, calibrated: np.ndarray) -> float:
     return float(ratios.sum() / (ratios**2).sum())
 
 
+def cut_at_falling_force(curve: TargetCurve) -> TargetCurve:
+    """Return a curve up to the position from which its force falls although the depth grows.
+
+    The body has lost its stability there: the law of Saint Venant and Kirchhoff softens below the stretch 1 / sqrt(3).
+    """
+    falls = (np.diff(curve.depths) > 0.0) & (np.diff(curve.forces[:, 2]) < 0.0)
+    if not falls.any():
+        return curve
+    first = int(falls.argmax()) + 1
+    return replace(curve, positions=curve.positions[:first], forces=curve.forces[:first], steps=curve.steps[:first],
+                   penetrations=curve.penetrations[:first],
+                   ended=f"at {1e3 * curve.depths[first]:.4g} mm: the force falls, so that the body is not stable")
+
+
 def _compute_ratios(forces: np.ndarray, calibrated: np.ndarray) -> np.ndarray:
     """Return forces over calibrated forces, without the samples that do not count."""
     counted = np.abs(calibrated[: forces.size]) > SETTINGS.least_force * np.abs(calibrated).max()
@@ -366,7 +380,8 @@ def match_constants(model: Model, calibrated: CalibratedForces, max_poisson: flo
         test = make_target_test(model.experiment, mesh, **options)
 
         def run(constants: ElasticConstants) -> TargetCurve:
-            return runner.run(test, constants, lambda done, count: report(f"position {done} of {count}"))
+            return cut_at_falling_force(runner.run(test, constants, lambda done, count: report(
+                f"position {done} of {count}")))
 
         ratio = math.nan if poisson is None else poisson
     search = _Search(run, calibrated, linear, report)

@@ -45,6 +45,8 @@ class FlexSettings:
         shaft_length: length of the cylinder of a flat punch, m.
         iterations: largest number of iterations of MuJoCo's solver.
         tolerance: tolerance of MuJoCo's solver.
+        tool_mass: mass of a tool in contact, whose velocity is prescribed at each step, kg; so large that the contact
+            does not change its motion.
         impedance: parameters ``solimp`` of the contact: it is nearly rigid from a penetration of 10 micrometres.
     """
 
@@ -55,6 +57,7 @@ class FlexSettings:
     shaft_length: float = 0.05
     iterations: int = 100
     tolerance: float = 1e-10
+    tool_mass: float = 1e3
     impedance: tuple[float, float, float] = (0.95, 0.999, 1e-5)
 
 
@@ -74,7 +77,7 @@ def compute_saint_venant_kirchhoff_stress(gradient: np.ndarray, mu: float, lame:
 
 
 class FlexBody(SteppedSoftBody):
-    """Flex with a bonded face, or with a tool on a mocap body in contact.
+    """Flex with a bonded face, or in contact with a tool of prescribed motion.
 
     Args:
         test: test to simulate.
@@ -89,7 +92,7 @@ class FlexBody(SteppedSoftBody):
         self._mujoco, self._test, self._constants = mujoco, test, constants
         self.model = mujoco.MjModel.from_xml_string(_write_model(test, constants, self.time_step))
         self.data = mujoco.MjData(self.model)
-        self._springs = np.zeros(0, dtype=int)
+        self._springs, self._tool = np.zeros(0, dtype=int), test.positions[0]
         if test.is_bonded:
             joints = self.model.body_jntadr[self.model.flex_vertbodyid[test.mesh.sets["face"]]]
             self._springs = self.model.jnt_qposadr[joints][:, None] + np.arange(3)
@@ -101,7 +104,10 @@ class FlexBody(SteppedSoftBody):
         if self._test.is_bonded:
             self.model.qpos_spring[self._springs] = self._rest + tool_position
         else:
-            self.data.mocap_pos[0] = tool_position
+            # The three slides of the tool are the first joints. A mocap body would have no velocity for the friction.
+            self.data.qpos[:3] = self._tool
+            self.data.qvel[:3] = (tool_position - self._tool) / self.time_step
+            self._tool = tool_position
         self._mujoco.mj_step(self.model, self.data)
 
     def get_positions(self) -> np.ndarray:
@@ -112,7 +118,7 @@ class FlexBody(SteppedSoftBody):
 
     def compute_largest_speed(self) -> float:
         """Return the largest speed; see `SteppedSoftBody`."""
-        return float(np.abs(self.data.qvel).max())
+        return float(np.abs(self.data.qvel[0 if self._test.is_bonded else 3:]).max())
 
     def compute_forces_on_tool_and_base(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces; see `SteppedSoftBody`. That on the tool is that of the springs or of the contacts."""
@@ -152,7 +158,9 @@ def _write_model(test: TargetTest, constants: ElasticConstants, time_step: float
         surface = (f'condim="{3 if friction else 1}" friction="{friction:.9g} 0 0" '
                    f'solimp="{format_numbers(SETTINGS.impedance)}"')
         contact = f'<contact selfcollide="none" {surface}/>'
-        tool = f'<body name="tool" mocap="true">{_write_tool_geometry(test.tool, surface)}</body>'
+        slides = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+        tool = (f'<body name="tool">{slides}<inertial pos="0 0 0" mass="{SETTINGS.tool_mass:g}" '
+                f'diaginertia="1 1 1"/>{_write_tool_geometry(test.tool, surface)}</body>')
     flag = '<flag contact="disable"/>' if test.is_bonded else ""
     density = constants.density or SETTINGS.density
     flex = make_flex_element(constants, mass=density * compute_volume(mesh.nodes, test.tetrahedra), nodes=mesh.nodes,

@@ -149,7 +149,7 @@ class VbdBody(SteppedSoftBody):
 
     def compute_largest_speed(self) -> float:
         """Return the largest speed; see `SteppedSoftBody`."""
-        return float(np.abs(self._state.particle_qd.numpy()[self._free]).max())
+        return float(np.abs(self._state.particle_qd.numpy()[self._free]).max(initial=0.0))
 
     def compute_forces_on_tool_and_base(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces; see `SteppedSoftBody`.

@@ -164,6 +164,8 @@ def run_steps_along_path(body: SteppedSoftBody, test: TargetTest, rest: RestSett
     for number in range(1, count):
         position, began = test.positions[number], time.process_time()
         made, ended = _step_to_position(body, test, rest, number, before)
+        if not ended and _has_inverted_element(body, test):
+            ended = "an element is inverted"
         if ended:
             ended = f"at {1e3 * math.dist(position, test.positions[0]):g} mm: {ended}"
             break
@@ -206,6 +208,12 @@ def _step_to_position(body: SteppedSoftBody, test: TargetTest, rest: RestSetting
         if made - moving >= rest.max_steps or time.perf_counter() - began > test.max_seconds:
             return made, (f"not at rest after {made} time steps in {time.perf_counter() - began:.0f} s, "
                           f"{body.compute_largest_speed():.2g} m/s")
+
+
+def _has_inverted_element(body: SteppedSoftBody, test: TargetTest) -> bool:
+    """Return whether the volume of an element is zero or negative."""
+    edges = _compute_edge_matrices(body.get_positions(), test.tetrahedra)
+    return bool((np.linalg.det(edges) <= 0.0).any())
 
 
 def _are_forces_at_rest(on_tool: np.ndarray, on_base: Sequence[np.ndarray], rest: RestSettings) -> bool:
