@@ -165,8 +165,8 @@ class MatchedConstants(TargetComparison):
             lines.append(f"Damping time {c.damping_time:.4g} s: the loss factor of the relaxation at the frequency "
                          f"1 / {self.calibrated.duration:.4g} s, the time of the loading.")
         else:
-            lines.append(f"Damping time {c.damping_time:.4g} s: numerical, so that the engine comes to rest; the material "
-                         "is elastic.")
+            lines.append(f"Damping time {c.damping_time:.4g} s: numerical, so that the engine comes to rest; the "
+                         "material is elastic.")
         return (*lines, *super().list_remarks())
 
 
