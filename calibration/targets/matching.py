@@ -35,7 +35,7 @@ class MatchSettings:
     """Numbers of the fit of elastic constants.
 
     Attributes:
-        least_poisson: smallest Poisson's ratio of the search, 1.
+        least_poisson: smallest Poisson's ratio of the search, 1; half of that of the material if this is smaller.
         poisson_tolerance: absolute tolerance of Poisson's ratio, 1.
         max_searches: largest number of Poisson's ratios of the search.
         least_force: smallest force of a sample that counts, as a fraction of the largest force, 1.
@@ -387,7 +387,7 @@ def match_constants(model: Model, calibrated: CalibratedForces, max_poisson: flo
     search = _Search(run, calibrated, linear, report)
     _, before = search.simulate_at_poisson_ratio(linear.poisson)
     if math.isnan(ratio):
-        ratio = search.find_poisson_ratio((SETTINGS.least_poisson, linear.poisson))
+        ratio = search.find_poisson_ratio((min(SETTINGS.least_poisson, 0.5 * linear.poisson), linear.poisson))
     constants, curve = search.simulate_at_poisson_ratio(ratio)
     if curve.forces.shape[0] < 2:
         raise InputError(f"the target does not reach the first depth: {curve.ended}. Use a finer mesh, more points or "

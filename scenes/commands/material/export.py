@@ -11,7 +11,6 @@ from scenes.commands.material.match import (
     find_export_content,
     make_comparison_json_object,
     print_comparison,
-    read_json_data,
 )
 from scenes.commands.shared.command import Command, CommandResult, ExitCode
 from scenes.commands.shared.parsing import (
@@ -46,6 +45,7 @@ def _export_material_file(arguments: Namespace) -> CommandResult:
         ConvergenceError: the calibrated test of ``--match`` did not converge.
     """
     from tissue_sim import read_material_file
+    from tissue_sim.decode import read_json_value
     from tissue_sim.exports import ExportContent, find_export_target
     from tissue_sim.exports.unit_systems import find_unit_system
     from tissue_sim.files import write_text
