@@ -288,9 +288,11 @@ def draw_target_comparison(comparison: TargetComparison, title: str, path: Path)
     end = 1.05e3 * float(calibrated.depths.max())
     forces.set(xlabel="depth [mm]", ylabel="force [N]", xlim=(0.0, end), ylim=(0.0, None))
     errors.set(xlabel="depth [mm]", ylabel="force error [%]", xlim=(0.0, end))
-    forces.legend(fontsize=8)
     for axes in (forces, errors):
         axes.grid(alpha=0.3)
+        if not comparison.reaches_all_depths:
+            axes.axvspan(1e3 * comparison.deepest, end, color="0.9", label=f"not reached in {title}")
+    forces.legend(fontsize=8)
     write_figure_file(figure, path)
 
 
