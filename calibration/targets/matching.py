@@ -244,8 +244,6 @@ def make_target_test(experiment: Experiment, mesh: SolidMesh, **options: float) 
     positions = np.zeros((depths.size + 1, 3))
     positions[1:, 2] = -depths
     positions[:, 0] = 0.0 if approach is None else approach.offset
-    if is_bonded:
-        positions[:, 0] = 0.0  # displacements of the face
     friction = experiment.friction if isinstance(experiment.friction, float) else 0.0
     return TargetTest(mesh, experiment.tool, positions, is_bonded, friction, **options)  # type: ignore[arg-type]
 

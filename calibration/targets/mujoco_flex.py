@@ -102,7 +102,7 @@ class FlexBody(SteppedSoftBody):
     def advance(self, tool_position: np.ndarray) -> None:
         """Make one time step; see `SteppedSoftBody`."""
         if self._test.is_bonded:
-            self.model.qpos_spring[self._springs] = self._rest + tool_position
+            self.model.qpos_spring[self._springs] = self._rest + tool_position - self._test.positions[0]
         else:
             # The three slides of the tool are the first joints. A mocap body would have no velocity for the friction.
             self.data.qpos[:3] = self._tool

@@ -115,25 +115,42 @@ class VbdBody(SteppedSoftBody):
         model = builder.finalize(device="cpu")
         model.soft_contact_ke, model.soft_contact_kd = SETTINGS.contact_stiffness, 0.0
         model.soft_contact_mu = test.friction
-        self._solver = newton.solvers.SolverVBD(model, iterations=SETTINGS.iterations,
-                                                friction_epsilon=SETTINGS.friction_speed,
-                                                rigid_body_particle_contact_buffer_size=len(self.surface))
+        self._solver = self._make_solver(newton, model)
         self._pipeline: Any = None
         self._contacts: Any = None
         self._observables: Any = None
         if not test.is_bonded:
             self._pipeline = newton.CollisionPipeline(model, soft_contact_gap=SETTINGS.contact_gap)
             self._contacts = self._pipeline.contacts()
-            self._observables = self._solver.observables({"contact_f"}, contacts=self._contacts)
+            self._observables = self._allocate_observables_or_none()
         self._state, self._after, self._control = model.state(), model.state(), model.control()
         self._before = self.get_positions()
+
+    def _make_solver(self, newton: Any, model: Any) -> Any:
+        """Make the solver of a Newton model."""
+        return newton.solvers.SolverVBD(model, iterations=SETTINGS.iterations, friction_epsilon=SETTINGS.friction_speed,
+                                        rigid_body_particle_contact_buffer_size=len(self.surface))
+
+    def _allocate_observables_or_none(self) -> Any:
+        """Return the arrays for the contact forces; None if the solver does not state them for soft bodies."""
+        return self._solver.observables({"contact_f"}, contacts=self._contacts)
+
+    def _compute_stress(self, gradient: np.ndarray, rate: np.ndarray) -> np.ndarray:
+        """Return the first Piola-Kirchhoff stress, Pa.
+
+        Args:
+            gradient: deformation gradients F, shape (n, 3, 3).
+            rate: time derivatives of F^T F, 1/s, shape (n, 3, 3).
+        """
+        return (compute_neo_hookean_stress(gradient, self._constants.mu, self._constants.lame)
+                + 2.0 * self._k_damp * gradient @ rate)
 
     def advance(self, tool_position: np.ndarray) -> None:
         """Make one time step; see `SteppedSoftBody`."""
         self._before = self.get_positions()
         if self._test.is_bonded:
             positions = self._state.particle_q.numpy()
-            positions[self._face] = self._test.mesh.nodes[self._face] + tool_position
+            positions[self._face] = self._test.mesh.nodes[self._face] + tool_position - self._test.positions[0]
             self._state.particle_q.assign(positions)
         else:
             for state in (self._state, self._after):
@@ -155,21 +172,23 @@ class VbdBody(SteppedSoftBody):
         """Return the forces; see `SteppedSoftBody`.
 
         The force on the base follows from the elastic and viscous stresses at the positions, as does the force on a
-        bonded face. In contact the force on the tool is the sum of the contact forces that Newton states.
+        bonded face. In contact the force on the tool is the sum of the contact forces that Newton states,
+        or the force on the base if the solver states none.
         """
         mesh, tetrahedra, step = self._test.mesh, self._test.tetrahedra, self.time_step
-        mu, lame, k_damp = self._constants.mu, self._constants.lame, self._k_damp
         before, after = self._before, self.get_positions()
         old = compute_deformation_gradients(mesh.nodes, tetrahedra, before)
 
         def stress(gradient: np.ndarray) -> np.ndarray:
             rate = (np.swapaxes(gradient, 1, 2) @ gradient - np.swapaxes(old, 1, 2) @ old) / step
-            return compute_neo_hookean_stress(gradient, mu, lame) + 2.0 * k_damp * gradient @ rate
+            return self._compute_stress(gradient, rate)
 
         forces = compute_nodal_forces(mesh.nodes, tetrahedra, after, stress)
         on_base = forces[self._base].sum(axis=0)
         if self._test.is_bonded:
             return -forces[self._face].sum(axis=0), on_base
+        if self._observables is None:
+            return on_base, on_base
         return self._observables.contact_f.numpy()[:, :3].sum(axis=0, dtype=float), on_base
 
 
@@ -191,6 +210,7 @@ class NewtonRunner(TargetRunner):
     """Runner of tests in Newton's soft body."""
 
     title = "Newton VBD"
+    body_type: type[VbdBody] = VbdBody
 
     def describe_missing_program(self) -> str:
         """Return why Newton cannot run here; see `TargetRunner`."""
@@ -212,7 +232,7 @@ class NewtonRunner(TargetRunner):
             test = replace(test, times=np.concatenate([[0.0], np.cumsum(steps)]) / SETTINGS.tool_speed)
         if test.times is None:
             constants = with_minimum_damping(constants, SETTINGS.damping_time)
-        body = VbdBody(test, constants)
+        body = self.body_type(test, constants)
         import newton
 
         return run_steps_along_path(body, test, BONDED_REST if test.is_bonded else CONTACT_REST,

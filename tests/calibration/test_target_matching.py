@@ -163,7 +163,7 @@ def test_stress_has_the_stated_constants_at_small_strains(stress):
 
 def test_nodal_forces_of_a_stretched_block_are_stress_times_area():
     mesh = create_block_mesh_from_boundaries([0.0, 0.02], [0.0, 0.03], [-0.04, 0.0], HEX8P0)
-    cells, stretched = mesh.divide_into_linear_tetrahedra(), mesh.nodes * [1.0, 1.0, 1.1]
+    cells, stretched = mesh.tetrahedra, mesh.nodes * [1.0, 1.0, 1.1]
     assert compute_volume(mesh.nodes, cells) == pytest.approx(0.02 * 0.03 * 0.04)
     forces = compute_nodal_forces(mesh.nodes, cells, stretched,
                                   lambda F: compute_saint_venant_kirchhoff_stress(F, 1000.0, 0.0))

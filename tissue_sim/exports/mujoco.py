@@ -35,7 +35,7 @@ class MujocoTarget(ExportTarget):
 
     def write(self, content: ExportContent) -> str:
         """Return an MJCF model with one flex for each material, or their elements in comments without a mesh."""
-        lines = ["<mujoco>", *(f"  <!-- {line} -->" for line in _list_comment_lines(content.remarks)),
+        lines = ["<mujoco>", *(f"  <!-- {line} -->" for line in _list_comment_lines(self.list_file_remarks(content))),
                  '  <!-- MuJoCo 4 refuses elastic flexes under the integrators implicit and implicitfast. -->',
                  '  <option integrator="discrete" solver="Newton"/>', '  <size memory="4G"/>', "  <worldbody>"]
         for label, material, constants in zip(content.labels, content.materials, content.constants, strict=True):

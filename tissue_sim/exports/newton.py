@@ -52,6 +52,7 @@ class NewtonTarget(ExportTarget):
     suffix = ".py"
     verification = "run in the target"
     uses_elastic_constants = True
+    has_neo_hookean_law = True
     max_poisson = 0.49
     parts = frozenset({"viscoelastic"})
     part_remarks = {"softening": "its soft body is elastic"}
@@ -59,7 +60,8 @@ class NewtonTarget(ExportTarget):
 
     def write(self, content: ExportContent) -> str:
         """Return the text of the module."""
-        lines = ['"""Soft tissue for Newton, SolverVBD."""', "", *format_comment_lines(content.remarks, "# "), "",
+        remarks = format_comment_lines(self.list_file_remarks(content), "# ")
+        lines = ['"""Soft tissue for Newton, SolverVBD."""', "", *remarks, "",
                  "#: Name -> constants of ModelBuilder.add_soft_mesh: k_mu, k_lambda in Pa, k_damp in Pa s, density in "
                  "kg/m3.", "CONSTANTS = {"]
         for label, material, constants in zip(content.labels, content.materials, content.constants, strict=True):

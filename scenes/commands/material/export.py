@@ -29,8 +29,8 @@ def _add_export_flags(parser: InputErrorArgumentParser) -> None:
     """Add the material file and the flags of the written file."""
     parser.add_argument("file", type=Path, metavar="FILE", help="material file NAME.material.json")
     parser.add_argument("--to", required=True, metavar="PROGRAM",
-                        help="abaqus, calculix, febio, felupe, mujoco, newton, sofa, usd, or a program that an installed "
-                        "package adds")
+                        help="abaqus, calculix, febio, felupe, mujoco, newton, sofa, usd, or a program that an "
+                        "installed package adds")
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT", help="output file")
     parser.add_argument("--units", default="SI", metavar="NAME",
                         help="unit system of the file: SI, mm-N-MPa or mm-mN-kPa (default: %(default)s)")
@@ -45,7 +45,6 @@ def _export_material_file(arguments: Namespace) -> CommandResult:
         ConvergenceError: the calibrated test of ``--match`` did not converge.
     """
     from tissue_sim import read_material_file
-    from tissue_sim.decode import read_json_value
     from tissue_sim.exports import ExportContent, find_export_target
     from tissue_sim.exports.unit_systems import find_unit_system
     from tissue_sim.files import write_text

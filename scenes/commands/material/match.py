@@ -32,9 +32,6 @@ if TYPE_CHECKING:
     from tissue_sim.material.file import MaterialFile
     from tissue_sim.mesh.solid import SolidMesh
 
-#: Targets whose law exists in this program, so that it can be fitted without the target.
-_NEO_HOOKEAN_TARGETS = ("newton",)
-
 
 @dataclass(frozen=True)
 class TargetMeshDefaults:
@@ -192,7 +189,7 @@ def _refuse_impossible_match(arguments: Namespace, target: ExportTarget) -> None
     if not target.uses_elastic_constants:
         raise InputError(f"has no effect for {target.title} without --in-target: its constants are exact. Add "
                          "--in-target, or leave --match out", field="--match")
-    if arguments.to not in _NEO_HOOKEAN_TARGETS:
+    if not target.has_neo_hookean_law:
         raise InputError(f"requires --in-target for {target.title}, whose law this program does not have. Add "
                          "--in-target", field="--match")
     if arguments.element_mm is not None:
