@@ -60,7 +60,7 @@ def test_uniaxial_stress_of_a_block(engine):
 
 
 def test_bonded_force_is_that_of_linear_elasticity_on_the_same_tetrahedra(engine, mesh):
-    depth, cells, size = 1e-4, mesh.divide_into_linear_tetrahedra(), mesh.nodes.size
+    depth, cells, size = 1e-4, mesh.tetrahedra, mesh.nodes.size
     stiffness = np.zeros((size, size))
     for column in range(size):
         moved = mesh.nodes.copy()
@@ -121,7 +121,7 @@ def _load_mujoco(text, mesh):
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    nodes, cells = data.flexvert_xpos.copy(), mesh.divide_into_linear_tetrahedra()
+    nodes, cells = data.flexvert_xpos.copy(), mesh.tetrahedra
     data.qpos[:] = 1e-4 * np.random.default_rng(1).standard_normal(model.nq)
     mujoco.mj_forward(model, data)
     moved = data.flexvert_xpos.copy()
@@ -140,7 +140,7 @@ def _load_newton(text, mesh):
     space = {}
     exec(compile(text, "tissue.py", "exec"), space)
     builder = newton.ModelBuilder()
-    space["add_soft_body"](builder, mesh.nodes, mesh.divide_into_linear_tetrahedra().ravel())
+    space["add_soft_body"](builder, mesh.nodes, mesh.tetrahedra.ravel())
     mu, lame, damping = np.array(builder.tet_materials)[0]
     return [mu, lame, 2.0 * damping / mu]
 

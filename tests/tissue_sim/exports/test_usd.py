@@ -163,6 +163,6 @@ def test_command_line_writes_the_whole_material_file(tmp_path):
     prim = stage.GetPrimAtPath("/Tissue/LIVER_2")
     written = json.loads(prim.GetCustomDataByKey("tissue_sim")["material_file"])
     assert written == json.loads(source.read_text(encoding="utf-8"))
-    assert "force error is unknown" in prim.GetDocumentation()
+    assert "force error in USD is not stated" in prim.GetDocumentation()
     assert prim.GetAttribute("physics:youngsModulus").Get() * 1e3 == pytest.approx(
         linearise_material(MATERIAL, 0.49).young, rel=1e-6)
