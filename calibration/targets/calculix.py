@@ -12,6 +12,7 @@ import subprocess
 import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
@@ -89,7 +90,7 @@ class CalculixSettings:
     residual: float = 1e-4
     stiffness: float = 2e3
     stick: float = 0.1
-    sectors: int = 72
+    sectors: int = 36
     longest_edge: float = 0.25
     thickness: float = 0.05
     plate_margin: float = 1.5
@@ -234,7 +235,7 @@ def _sample_outline(tool: Tool, height: float, width: float, settings: CalculixS
     while points[-1, 0] == 0.0:  # a ball is closed above; its top does not touch the tissue
         points = points[:-1]
     parts = [points[:1]]
-    for start, end in zip(points[:-1], points[1:], strict=True):
+    for start, end in pairwise(points):
         count = int(np.ceil(np.linalg.norm(end - start) / (settings.longest_edge * radius)))
         parts.append(start + np.linspace(0.0, 1.0, count + 1)[1:, None] * (end - start))
     return np.concatenate(parts)
@@ -243,8 +244,6 @@ def _sample_outline(tool: Tool, height: float, width: float, settings: CalculixS
 def _revolve(outline: np.ndarray, settings: CalculixSettings, radius: float
              ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Revolve an outline to a layer of elements, whose faces S1 are the outline.
-
-    Radii are those of polygons with the area of the circle.
 
     Args:
         outline: points (r, z), the first on the axis, m, shape (n, 2).
@@ -262,22 +261,24 @@ def _revolve(outline: np.ndarray, settings: CalculixSettings, radius: float
     # Thinner than the edges of a rounding, so that no element is turned inside out.
     thickness = min(settings.thickness * radius, 0.5 * float(np.linalg.norm(segments, axis=1).min()))
     count = settings.sectors
-    step = 2.0 * np.pi / count
-    angles = step * np.arange(count)
-    nodes, start = [], []
-    for points in (outline, outline + thickness * normals):
-        start.append(sum(map(len, nodes)))
-        r = np.sqrt(step / np.sin(step)) * points[1:, 0, None]
-        rings = np.stack([r * np.cos(angles), r * np.sin(angles), np.broadcast_to(points[1:, 1, None],
-                                                                                (len(r), count))], axis=-1)
-        nodes += [np.array([[0.0, 0.0, points[0, 1]]]), rings.reshape(-1, 3)]
+    layers = [np.concatenate([[[0.0, 0.0, points[0, 1]]], _rotate(points[1:], count)])
+              for points in (outline, outline + thickness * normals)]
     ring = 1 + np.arange((len(outline) - 1) * count).reshape(-1, count)
     following = np.roll(ring, -1, axis=1)
     # Seen from inside the tool, the corners of the outer face are counter-clockwise.
     triangles = np.stack([np.zeros(count, dtype=int), ring[0], following[0]], axis=-1)
     squares = np.stack([ring[:-1], ring[1:], following[1:], following[:-1]], axis=-1).reshape(-1, 4)
-    return (np.concatenate(nodes), np.concatenate([triangles, triangles + start[1]], axis=1),
-            np.concatenate([squares, squares + start[1]], axis=1))
+    inner = len(layers[0])
+    return (np.concatenate(layers), np.concatenate([triangles, triangles + inner], axis=1),
+            np.concatenate([squares, squares + inner], axis=1))
+
+
+def _rotate(points: np.ndarray, count: int) -> np.ndarray:
+    """Return `count` copies of points (r, z) around the axis, on polygons with the area of the circle, shape (n, 3)."""
+    angle = 2.0 * np.pi / count
+    angles, radii = angle * np.arange(count), np.sqrt(angle / np.sin(angle)) * points[:, :1]
+    heights = np.repeat(points[:, 1:], count, axis=1)
+    return np.stack([radii * np.cos(angles), radii * np.sin(angles), heights], axis=-1).reshape(-1, 3)
 
 
 def _list_node_lines(numbers: Iterable[int], nodes: np.ndarray) -> list[str]:
@@ -335,7 +336,7 @@ def _read_forces(folder: Path) -> list[np.ndarray]:
     path = folder / "test.dat"
     if not path.is_file() or not path.stat().st_size:
         return []
-    forces = []
+    forces: list[np.ndarray] = []
     for when, numbers in re.findall(r"total force.*?time\s+(\S+)\n\s*\n((?:[ \t]+\S+){3})\n",
                                     read_text(path, "an output of CalculiX")):
         # The time of a step is 1; its increments print their forces, too.
