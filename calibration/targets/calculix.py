@@ -11,7 +11,7 @@ import shutil
 import subprocess
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -25,7 +25,7 @@ from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.exports import ExportContent, find_export_target
 from tissue_sim.exports.elastic_constants import ElasticConstants
 from tissue_sim.files import read_text
-from tissue_sim.material.material import Bulk, Material
+from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
 
@@ -55,8 +55,6 @@ _FACES = {
     8: ((0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)),
 }
 _FACES |= {10: _FACES[4], 20: _FACES[8]}
-#: K/mu for an incompressible material, for which CalculiX has no element; forces of a punch are 0.1 % lower.
-_LARGEST_BULK_RATIO = 1e3
 #: Interval between two readings of the output, s.
 _POLL_SECONDS = 0.1
 #: Number of lines of the log in a message.
@@ -134,7 +132,7 @@ class CalculixRunner(TargetRunner):
             return _run_deck(program, folder, test, progress)
 
 
-CALCULIX = CalculixRunner()
+RUNNER = CalculixRunner()
 
 
 def write_deck(test: TargetTest, material: Material, settings: CalculixSettings) -> str:
@@ -146,14 +144,9 @@ def write_deck(test: TargetTest, material: Material, settings: CalculixSettings)
     if test.mesh.element.name not in ELEMENTS:
         raise InputError(f"must be one of {', '.join(ELEMENTS)}; got {test.mesh.element.name}. Use a mesh of these "
                          "elements.", field="mesh.element")
-    if material.viscoelastic is not None:
-        raise InputError("must be None: CalculiX has no relaxation of a hyperelastic law. Run the elastic material.",
-                         field="material.viscoelastic")
-    if material.bulk.kind == "incompressible":
-        material = replace(material, bulk=Bulk("bulk_ratio", _LARGEST_BULK_RATIO))
     content = ExportContent((material,))
     moved = "FACE" if test.is_bonded else "TOOL"
-    lines = [*_list_tissue_lines(test.mesh), find_export_target("abaqus").write(content).rstrip(),
+    lines = [*_list_tissue_lines(test.mesh), find_export_target("calculix").write(content).rstrip(),
              f"*SOLID SECTION, ELSET=TISSUE, MATERIAL={content.labels[0]}"]
     if not test.is_bonded:
         lines += _list_contact_lines(test, material.mu0, settings)

@@ -115,8 +115,8 @@ class TargetRunner(ABC):
 
 #: Name of an export target -> its runner.
 RUNNERS: Registry[TargetRunner] = Registry("runner of a target", "tissue_sim.target_runners", {
-    "calculix": "calibration.targets.calculix:CALCULIX",
-    "felupe": "calibration.targets.felupe:FELUPE",
+    "calculix": "calibration.targets.calculix:RUNNER",
+    "felupe": "calibration.targets.felupe:RUNNER",
     "mujoco": "calibration.targets.mujoco_flex:RUNNER",
     "newton": "calibration.targets.newton_vbd:RUNNER",
 }, accepts=lambda runner: isinstance(runner, TargetRunner),
