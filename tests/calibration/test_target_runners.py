@@ -91,7 +91,7 @@ def test_parts_without_equivalent_are_refused():
     with pytest.raises(ts.InputError, match="Material"):
         calculix.RUNNER.run(TargetTest(mesh, PLATE, PATH, is_bonded=True), ElasticConstants(8e3, 0.49))
     relaxing = ts.Material("neo_hooke", {"C10": 1400.0}, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0),)))
-    with pytest.raises(ts.InputError, match="no relaxation"):
+    with pytest.raises(ts.InputError, match="no form for relaxation"):
         calculix.RUNNER.run(TargetTest(mesh, PLATE, PATH, is_bonded=True), relaxing)
     with pytest.raises(ts.InputError, match="no friction"):
         felupe.RUNNER.run(TargetTest(mesh, PLATE, PATH, friction=0.3), MATERIAL)
