@@ -83,7 +83,7 @@ class CalculixSettings:
         plate_margin: radius of a plate over that of the specimen, 1.
     """
 
-    first_increment: float = 0.25
+    first_increment: float = 0.1
     max_increments: int = 1000
     residual: float = 1e-4
     stiffness: float = 2e3

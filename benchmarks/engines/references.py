@@ -1,0 +1,194 @@
+"""Reference curves of the jobs off the axis and with a dragged ball: CalculiX and this package on refined meshes.
+
+    python -m benchmarks references off_axis|drag [--program calculix|ours] [--levels 1 2 3] [--json] [--write]
+
+Each mesh is a separate run of minutes. `--write` stores the curve of the finest level in benchmarks/engines/reference,
+with the differences between the levels.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+
+import tissue_sim as ts
+from calibration.targets.calculix import RUNNER as CALCULIX
+from calibration.targets.runner import TargetTest
+from tissue_sim.fem.contact.pairs import ContactPair
+from tissue_sim.fem.solid.solver import SolidSolver
+from tissue_sim.fem.solver import StepStatus
+from tissue_sim.mesh.solid import SolidMesh, create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX27P1
+from tissue_sim.pose import Pose
+
+#: Folder of the stored curves.
+FOLDER = Path(__file__).with_name("reference")
+#: Radius of the cylinder, m.
+RADIUS = 0.040
+#: Height of the cylinder, m.
+HEIGHT = 0.070
+#: Radius of the tools, m.
+TOOL_RADIUS = 8e-3
+#: Moduli of the study's law, Pa.
+MODULI = {"C10": 1404.9, "C20": 699.4}
+#: K / mu0 of ours, 1.
+RATIO = 1e4
+#: K / mu0 in CalculiX, 1: with 1e4 its Newton iterations diverge from increments above 0.05 mm.
+CALCULIX_RATIO = 1e3
+#: Number of load steps of ours between two positions.
+SUBSTEPS = 4
+#: Largest penetration of a node in ours, m.
+PENETRATION = 1e-6
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Problem with a reference curve.
+
+    Attributes:
+        title: description in a few words.
+        tool: rigid tool.
+        is_bonded: whether the face is bonded; otherwise the tool is in contact with `friction`.
+        friction: coefficient of friction, 1.
+        positions: positions of the tool, m, shape (n, 3).
+        centre: position along x of the centre of the finest part of the mesh, m.
+        levels: smallest size at the edge of the circle, m, ratio of successive sizes, largest size, m, and number of
+            elements along a quarter of the circle, for each level.
+    """
+
+    title: str
+    tool: ts.Tool
+    is_bonded: bool
+    friction: float
+    positions: np.ndarray
+    centre: float
+    levels: tuple[tuple[float, float, float, int], ...]
+
+    def make_mesh(self, level: int) -> SolidMesh:
+        """Make the mesh of 27-node hexahedra of a level, from 1."""
+        smallest, growth, largest, around = self.levels[level - 1]
+        return create_cylinder_mesh_under_needle(RADIUS, HEIGHT, TOOL_RADIUS, HEX27P1, smallest=smallest,
+                                                 growth=growth, largest=largest, around=around,
+                                                 centre=(self.centre, 0.0))
+
+
+def _list_positions(*corners: tuple[float, float, float], spacing: float) -> np.ndarray:
+    """Return positions on the straight lines between corners (x, y, z), with equal spacing, m, shape (n, 3)."""
+    path = [np.array(corners[0])]
+    for start, end in pairwise(np.array(corners)):
+        count = round(float(np.linalg.norm(end - start)) / spacing)
+        path += [start + k / count * (end - start) for k in range(1, count + 1)]
+    return np.array(path)
+
+
+#: Name -> problem.
+PROBLEMS = {
+    "off_axis": Problem("bonded flat punch 15 mm off the axis, 10 mm deep", ts.Tool("flat", radius=TOOL_RADIUS), True,
+                        0.0, _list_positions((15e-3, 0.0, 0.0), (15e-3, 0.0, -10e-3), spacing=2e-3), 15e-3,
+                        ((3.2e-3, 2.4, 20e-3, 2), (1.2e-3, 2.4, 20e-3, 2), (0.5e-3, 2.8, 20e-3, 2),
+                         (2.2e-3, 2.2, 18e-3, 3), (1.6e-3, 2.0, 16e-3, 4))),
+    "drag": Problem("ball with friction 0.3, 5 mm deep, then 5 mm along x", ts.Tool("sphere", radius=TOOL_RADIUS),
+                    False, 0.3, _list_positions((0.0, 0.0, 0.0), (0.0, 0.0, -5e-3), (5e-3, 0.0, -5e-3), spacing=1e-3),
+                    2.5e-3, ((3.2e-3, 2.4, 20e-3, 2), (2.2e-3, 2.2, 18e-3, 3), (1.6e-3, 2.0, 16e-3, 4))),
+}
+
+
+def run_calculix(problem: Problem, level: int, ratio: float) -> tuple[np.ndarray, str]:
+    """Return forces on the tool at the reached positions, N, shape (n, 3), and the reason of an early end."""
+    test = TargetTest(problem.make_mesh(level), problem.tool, problem.positions, problem.is_bonded, problem.friction,
+                      max_seconds=300.0)
+    material = ts.Material("reduced_polynomial_2", MODULI, ts.Bulk("bulk_ratio", ratio))
+    curve = CALCULIX.run(test, material)
+    return curve.forces, curve.ended
+
+
+def run_ours(problem: Problem, level: int, ratio: float) -> tuple[np.ndarray, str]:
+    """Return forces on the tool at the reached positions, N, shape (n, 3), and the reason of an early end."""
+    mesh = problem.make_mesh(level)
+    material = ts.Material("reduced_polynomial_2", MODULI, ts.Bulk("bulk_ratio", ratio))
+    start = Pose(tuple(problem.positions[0]))
+    if problem.is_bonded:
+        solver = SolidSolver(mesh, material, {"base": "xyz"}, mesh.sets["face"], start=start)
+    else:
+        pair = ContactPair(problem.tool.profile, mesh.sets["top"], (problem.friction, problem.friction))
+        solver = SolidSolver(mesh, material, {"base": "xyz"}, np.zeros(0, int), pairs=[pair], tolerance=PENETRATION,
+                             start=start)
+    forces = [np.zeros(3)]
+    for before, after in pairwise(problem.positions):
+        for part in range(1, SUBSTEPS + 1):
+            step = solver.step(Pose(tuple(before + part / SUBSTEPS * (after - before))))
+            if step.status is not StepStatus.CONVERGED:
+                return np.array(forces), step.status.message
+        forces.append(np.array(step.wrench[:3]))
+    return np.array(forces), ""
+
+
+#: Program -> function that computes a curve, and K / mu0.
+PROGRAMS = {"calculix": (run_calculix, CALCULIX_RATIO), "ours": (run_ours, RATIO)}
+
+
+def format_curve(problem: Problem, program: str, rows: Sequence[dict]) -> str:
+    """Return the text of a CSV file with the curve of the finest level.
+
+    Args:
+        problem: problem.
+        program: name and version of the program, with K / mu0.
+        rows: results of `main`, coarsest level first.
+    """
+    finest = np.array(rows[-1]["forces"])
+    lines = [f"# {problem.title}", "# cylinder 40 mm x 70 mm, base bonded, no gravity, reduced polynomial N = 2 "
+             "(C10 = 1404.9 Pa, C20 = 699.4 Pa), tool radius 8 mm, no contact with the side wall of a bonded punch",
+             f"# {program}, 27-node (CalculiX: 20-node, C3D20R) hexahedra"]
+    for row in rows:
+        end = row["forces"][-1]
+        lines.append(f"# level {row['level']}: {row['elements']} elements, {row['nodes']} nodes: Fx = {end[0]:.5f} N, "
+                     f"Fz = {end[2]:.5f} N at the last position")
+    if len(rows) > 1:
+        before = np.array(rows[-2]["forces"])
+        count = min(len(before), len(finest))
+        size = np.linalg.norm(finest[1:count], axis=1)
+        change = np.linalg.norm(finest[1:count] - before[1:count], axis=1) / size
+        lines.append("# difference of the last two levels, relative, at each position: "
+                     + ", ".join(f"{each:.1e}" for each in change))
+    lines.append("x_mm,depth_mm,Fx_N,Fy_N,Fz_N")
+    for position, force in zip(problem.positions, finest, strict=False):
+        lines.append(f"{1e3 * position[0]:.4g},{-1e3 * position[2]:.4g},"
+                     + ",".join(f"{part:.5f}" for part in force + 0.0))
+    return "\n".join(lines) + "\n"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("problem", choices=tuple(PROBLEMS))
+    parser.add_argument("--program", choices=tuple(PROGRAMS), default="ours")
+    parser.add_argument("--levels", type=int, nargs="+", default=[1, 2, 3])
+    parser.add_argument("--ratio", type=float, help="K / mu0; default: 1e4, in CalculiX 1e3")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--write", action="store_true")
+    asked = parser.parse_args()
+    problem, (run, ratio) = PROBLEMS[asked.problem], PROGRAMS[asked.program]
+    ratio = asked.ratio or ratio
+    rows = []
+    for level in asked.levels:
+        mesh, began = problem.make_mesh(level), time.perf_counter()
+        forces, ended = run(problem, level, ratio)
+        rows.append({"problem": asked.problem, "program": asked.program, "ratio": ratio, "level": level,
+                     "elements": len(mesh.connectivity), "nodes": len(mesh.nodes), "ended": ended,
+                     "wall_s": time.perf_counter() - began, "forces": forces.tolist()})
+        print(json.dumps(rows[-1], indent=None if asked.json else 1), flush=True)
+        if asked.write:
+            name = {"calculix": "CalculiX 2.20", "ours": f"tissue_sim {ts.__version__}, solid solver"}[asked.program]
+            FOLDER.mkdir(exist_ok=True)
+            (FOLDER / f"{asked.problem}_{asked.program}.csv").write_text(
+                format_curve(problem, f"{name}, K/mu0 = {ratio:g}", rows), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
