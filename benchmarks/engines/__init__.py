@@ -1,0 +1,1 @@
+"""Benchmark of engines: the force on a tool in soft tissue, the same five jobs in every engine."""

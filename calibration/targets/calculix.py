@@ -108,6 +108,7 @@ class CalculixRunner(TargetRunner):
 
     title = "CalculiX, static"
     uses_elastic_constants = False
+    is_static = True
 
     def __init__(self, settings: CalculixSettings | None = None):
         self.settings = settings or CalculixSettings()

@@ -62,6 +62,7 @@ class FelupeRunner(TargetRunner):
 
     title = "FElupe, static"
     uses_elastic_constants = False
+    is_static = True
 
     def describe_missing_program(self) -> str:
         """Return why FElupe cannot run, with the remedy; an empty text if it can."""

@@ -67,6 +67,7 @@ class TargetCurve:
         steps: number of time steps of each position, shape (n,).
         penetrations: largest penetration of nodes into the tool at each position, m, shape (n,); empty: not measured.
         version: name and version of the program.
+        flagged: number of positions whose force the program itself marks as inaccurate.
     """
 
     positions: np.ndarray
@@ -76,6 +77,7 @@ class TargetCurve:
     steps: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=int))
     penetrations: np.ndarray = field(default_factory=lambda: np.zeros(0))
     version: str = ""
+    flagged: int = 0
 
     @property
     def depths(self) -> np.ndarray:
@@ -89,10 +91,12 @@ class TargetRunner(ABC):
     Attributes:
         title: name of the program and of its method.
         uses_elastic_constants: whether the program needs `ElasticConstants` instead of the material.
+        is_static: whether the program solves for equilibrium only and ignores `TargetTest.times`.
     """
 
     title: ClassVar[str]
     uses_elastic_constants: ClassVar[bool] = True
+    is_static: ClassVar[bool] = False
 
     @abstractmethod
     def describe_missing_program(self) -> str:

@@ -1,0 +1,60 @@
+"""Tables of the benchmark of engines, one a job."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict
+from typing import Any
+
+from benchmarks.engines.jobs import JOBS
+from benchmarks.engines.scoring import compute_scores
+from benchmarks.measure import table
+
+
+def list_rows(runs: list[dict[str, Any]], truths: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the runs with their scores."""
+    return [{**run, "scores": asdict(compute_scores(run, truths[run["job"]]))} for run in runs]
+
+
+def draw_tables(result: dict[str, Any], console) -> None:
+    """Print one table for each job."""
+    for name, job in JOBS.items():
+        rows = [row for row in result["rows"] if row["job"] == name]
+        if not rows:
+            continue
+        columns = _list_columns(rows)
+        table(console, f"{name}: {job.title}; errors in % of the largest true force",
+              ["engine", "mesh", "step, ms", *(heading for heading, _, _ in columns), "ended"],
+              [[_describe_engine(row), row["mesh"], f"{1e3 * row['step']:g}",
+                *(_format(row["scores"][key], factor) for _, key, factor in columns), _shorten(row["ended"])]
+               for row in rows])
+
+
+#: Heading, key of `Scores` and factor of each column.
+COLUMNS = (("rms", "rms_error", 100.0), ("largest", "largest_error", 100.0), ("at the end", "end_error", 100.0),
+           ("lateral", "lateral_error", 100.0), ("drift", "drift", 100.0), ("in air", "force_in_air", 100.0),
+           ("penetration, mm", "penetration", 1e3), ("CPU ms a step", "step_seconds", 1e3),
+           ("CPU over simulated time", "time_ratio", 1.0))
+
+
+def _list_columns(rows: list[dict[str, Any]]) -> list[tuple[str, str, float]]:
+    """Return the columns that have a number in a row."""
+    return [column for column in COLUMNS if any(not math.isnan(row["scores"][column[1]]) for row in rows)]
+
+
+def _describe_engine(row: dict[str, Any]) -> str:
+    """Return the title of an engine with the state of its constants."""
+    if row["constants"] is None:
+        return row["title"]
+    return f"{row['title']}, {'matched' if row['is_matched'] else 'constants at rest'}"
+
+
+def _format(value: float, factor: float) -> str:
+    """Format a score with three digits; a dash if it does not apply."""
+    return "-" if math.isnan(value) else f"{factor * value:.3g}"
+
+
+def _shorten(text: str) -> str:
+    """Return a reason in one line of at most 60 characters."""
+    line = " ".join(text.split())
+    return line if len(line) <= 60 else f"{line[:57]}..."
