@@ -157,10 +157,15 @@ def format_curve(problem: Problem, program: str, rows: Sequence[dict]) -> str:
         change = np.linalg.norm(finest[1:count] - before[1:count], axis=1) / size
         lines.append("# difference of the last two levels, relative, at each position: "
                      + ", ".join(f"{each:.1e}" for each in change))
+        coarse, fine = (problem.levels[row["level"] - 1][0] for row in rows[-2:])
+        limit = finest[count - 1] + fine / (coarse - fine) * (finest[count - 1] - before[count - 1])
+        error = float(np.linalg.norm(finest[count - 1] - limit)) / size[-1]
+        lines.append(f"# linear extrapolation of the last two levels to an edge size of 0: Fx = {limit[0]:.5f} N, "
+                     f"Fz = {limit[2]:.5f} N; relative difference from the curve, its error: {error:.1e}")
     lines.append("x_mm,depth_mm,Fx_N,Fy_N,Fz_N")
     for position, force in zip(problem.positions, finest, strict=False):
-        lines.append(f"{1e3 * position[0]:.4g},{-1e3 * position[2]:.4g},"
-                     + ",".join(f"{part:.5f}" for part in force + 0.0))
+        lines.append(f"{1e3 * position[0]:.4g},{-1e3 * position[2] + 0.0:.4g},"
+                     + ",".join(f"{part:.5f}" for part in np.round(force, 5) + 0.0))
     return "\n".join(lines) + "\n"
 
 
