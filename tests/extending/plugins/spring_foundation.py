@@ -7,7 +7,7 @@ from tissue_sim.errors import InputError
 
 
 class SpringFoundation(TargetRunner):
-    """Springs of stiffness E (1 - nu) / ((1 + nu) (1 - 2 nu) h) per area below the tool; no friction, no inertia."""
+    """Flat punch or ball on springs of stiffness E (1 - nu) / ((1 + nu) (1 - 2 nu) h) per area; no friction."""
 
     title = "spring foundation"
 
@@ -23,9 +23,10 @@ class SpringFoundation(TargetRunner):
             raise InputError("must not touch the tissue at first; move the tool up.", field="positions")
         forces = []
         for position in test.positions:
-            offsets = nodes - position
-            gaps = test.tool.profile.gap(np.column_stack([np.hypot(offsets[:, 0], offsets[:, 1]), offsets[:, 2]]))
-            forces.append([0.0, 0.0, float(stiffness * areas @ np.maximum(-gaps, 0.0))])
+            r, radius = np.hypot(*(nodes - position).T[:2]), test.tool.radius
+            height = 0.0 if test.tool.name == "flat" else radius - np.sqrt(np.maximum(radius**2 - r**2, 0.0))
+            depths = np.where(r <= 1.001 * radius, nodes[:, 2] - position[2] - height, 0.0)
+            forces.append([0.0, 0.0, float(stiffness * areas @ np.maximum(depths, 0.0))])
         return TargetCurve(test.positions, np.array(forces), version="1")
 
 
