@@ -1,7 +1,7 @@
 """Benchmark of engines: force on a tool in soft tissue, the same five jobs in every engine that is installed.
 
     python -m benchmarks engines [--engine NAME ...] [--job NAME ...] [--mesh NAME ...] [--add FILE.py ...]
-        [--results FILE] [--scores] [--figure FOLDER] [--json]
+        [--results FILE] [--scores] [--all] [--figure FOLDER] [--json]
 
 A run that is in the file of results is not repeated, so that a stopped benchmark continues. ``--scores`` only shows
 tables and figures of the stored runs. ``--add`` adds an engine: a Python file with an object ``ENGINE`` of a class
@@ -41,6 +41,8 @@ def make_parser() -> argparse.ArgumentParser:
     parser.add_argument("--results", type=Path, default=RESULTS, metavar="FILE",
                         help="file of results (default: that of the documentation)")
     parser.add_argument("--scores", action="store_true", help="show the stored runs without new ones")
+    parser.add_argument("--all", action="store_true",
+                        help="show all meshes and steps (default: the finest run of each engine)")
     parser.add_argument("--figure", type=Path, metavar="FOLDER", help="draw the pictures into this folder")
     parser.add_argument("--json", action="store_true", help="print one JSON object and nothing else")
     return parser
@@ -86,7 +88,7 @@ def main() -> int:
     rows = list_rows([stored[run.key] for run in runs if run.key in stored], truths)
     if options.figure is not None:
         draw_figures(rows, truths, options.figure)
-    show({**about("engines"), "rows": rows}, draw_tables, as_json=options.json)
+    show({**about("engines"), "shows_all": options.all, "rows": rows}, draw_tables, as_json=options.json)
     return 0
 
 

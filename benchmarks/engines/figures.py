@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.engines.jobs import JOBS, MESHES, Job
-from benchmarks.engines.run import OWN_MESH
+from benchmarks.engines.jobs import JOBS, Job
 from benchmarks.engines.scoring import compute_path_lengths, interpolate_truth
+from benchmarks.engines.tables import select_finest
 
 #: Colours that colour-blind readers can distinguish (Okabe and Ito), for the engines in their order.
 COLOURS = ("#0072B2", "#56B4E9", "#009E73", "#000000", "#D55E00", "#E69F00", "#CC79A7", "#F0E442", "#999999")
@@ -28,17 +28,6 @@ def draw_figures(rows: list[dict[str, Any]], truths: dict[str, dict[str, Any]], 
     _draw_cost(rows, colours, folder / "engines_cost.png")
 
 
-def _select_finest(rows: list[dict[str, Any]], job: str) -> list[dict[str, Any]]:
-    """Return for each engine and kind of constants the run on the finest mesh with the smallest step."""
-    sizes, best = [*MESHES, OWN_MESH], {}
-    for row in rows:
-        if row["job"] == job:
-            key, rank = (row["engine"], row["is_matched"]), (sizes.index(row["mesh"]), -row["step"])
-            if key not in best or rank > best[key][0]:
-                best[key] = rank, row
-    return [row for _, row in best.values()]
-
-
 def _draw_forces(rows: list[dict[str, Any]], truths: dict[str, dict[str, Any]], colours: dict[str, str],
                  path: Path) -> None:
     """Draw normal force and force error along each job, of the finest runs."""
@@ -52,7 +41,7 @@ def _draw_forces(rows: list[dict[str, Any]], truths: dict[str, dict[str, Any]], 
         true = interpolate_truth(job, truths[job.name])
         largest = float(np.linalg.norm(true, axis=1).max())
         left.plot(x, true[:, 2], color="black", linewidth=3, alpha=0.35, label="truth")
-        for row in _select_finest(rows, job.name):
+        for row in select_finest(rows, job.name):
             forces = np.array(row["forces"]).reshape(-1, 3)
             name = row["title"] + ("" if row["is_matched"] else ", constants at rest")
             style = {"color": colours[row["engine"]], "linestyle": "-" if row["is_matched"] else ":", "linewidth": 1.2}

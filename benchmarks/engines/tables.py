@@ -1,4 +1,4 @@
-"""Tables of the benchmark of engines, one a job."""
+"""Tables of the benchmark of engines, one for each job."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ import math
 from dataclasses import asdict
 from typing import Any
 
-from benchmarks.engines.jobs import JOBS
+from benchmarks.engines.jobs import JOBS, MESHES
+from benchmarks.engines.run import OWN_MESH
 from benchmarks.engines.scoring import compute_scores
 from benchmarks.measure import table
 
@@ -16,16 +17,30 @@ def list_rows(runs: list[dict[str, Any]], truths: dict[str, dict[str, Any]]) -> 
     return [{**run, "scores": asdict(compute_scores(run, truths[run["job"]]))} for run in runs]
 
 
+def select_finest(rows: list[dict[str, Any]], job: str) -> list[dict[str, Any]]:
+    """Return for each engine and kind of constants the run on the finest mesh with the smallest step."""
+    sizes, best = [*MESHES, OWN_MESH], {}
+    for row in rows:
+        if row["job"] == job:
+            key, rank = (row["engine"], row["is_matched"]), (sizes.index(row["mesh"]), -row["step"])
+            if key not in best or rank > best[key][0]:
+                best[key] = rank, row
+    return [row for _, row in best.values()]
+
+
 def draw_tables(result: dict[str, Any], console) -> None:
-    """Print one table for each job."""
+    """Print one table for each job: all runs, or the finest run of each engine."""
     for name, job in JOBS.items():
         rows = [row for row in result["rows"] if row["job"] == name]
         if not rows:
             continue
+        if not result["shows_all"]:
+            rows = select_finest(rows, name)
         columns = _list_columns(rows)
         table(console, f"{name}: {job.title}; errors in % of the largest true force",
-              ["engine", "mesh", "step, ms", *(heading for heading, _, _ in columns), "ended"],
-              [[_describe_engine(row), row["mesh"], f"{1e3 * row['step']:g}",
+              ["engine", "mesh", "step, ms", "reached, %", *(heading for heading, _, _ in columns), "ended"],
+              [[_describe_engine(row), row["mesh"], f"{1e3 * row['step']:g}" if row["step"] else "static",
+                f"{100.0 * row['scores']['reached']:.0f}",
                 *(_format(row["scores"][key], factor) for _, key, factor in columns), _shorten(row["ended"])]
                for row in rows])
 
