@@ -38,8 +38,8 @@ FOLDER = Path(__file__).with_name("reference")
 REFERENCES = {
     "punch": Reference(ROOT / "tests" / "reference" / "punch_bonded_face_side_wall_RP.csv",
                        "independent axisymmetric Taylor-Hood elements, error 0.2 %"),
-    "off_axis": Reference(FOLDER / "off_axis_calculix.csv", "CalculiX, refined meshes"),
-    "drag": Reference(FOLDER / "drag_calculix.csv", "CalculiX, refined meshes"),
+    "off_axis": Reference(FOLDER / "off_axis_ours.csv", "tissue_sim, quadratic solid; CalculiX within 1.5 %"),
+    "drag": Reference(FOLDER / "drag_ours.csv", "tissue_sim, quadratic solid, one mesh"),
 }
 
 

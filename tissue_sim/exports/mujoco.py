@@ -28,6 +28,7 @@ class MujocoTarget(ExportTarget):
     suffix = ".xml"
     verification = "run in the target"
     uses_elastic_constants = True
+    writes_mesh = True
     max_poisson = 0.49
     parts = frozenset({"viscoelastic"})
     part_remarks = {"softening": "its flex is elastic"}

@@ -77,6 +77,7 @@ class ExportTarget(ABC):
             `ExportContent.constants` replace the law.
         has_neo_hookean_law: whether the elastic constants are those of a neo-Hookean law, so that they can be fitted
             to a test without the program.
+        writes_mesh: whether the file contains `ExportContent.mesh`.
         max_poisson: largest Poisson's ratio of `ExportContent.constants` that the program accepts, 1.
         parts: of ``"viscoelastic"`` and ``"softening"``, the parts of a material that the program has.
         part_remarks: name of a missing part -> the difference between the program and this package, for the message.
@@ -90,6 +91,7 @@ class ExportTarget(ABC):
     verification: ClassVar[str] = "formula checked, not run"
     uses_elastic_constants: ClassVar[bool] = False
     has_neo_hookean_law: ClassVar[bool] = False
+    writes_mesh: ClassVar[bool] = False
     max_poisson: ClassVar[float] = 0.49
     parts: ClassVar[frozenset[str]] = frozenset()
     part_remarks: ClassVar[Mapping[str, str]] = {}

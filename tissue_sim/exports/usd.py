@@ -53,6 +53,7 @@ class UsdTarget(ExportTarget):
     title = "USD"
     suffix = ".usda"
     uses_elastic_constants = True
+    writes_mesh = True
     has_neo_hookean_law = True  # of its readers: USD states no law
     parts = frozenset(_PARTS)
 

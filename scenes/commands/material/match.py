@@ -9,9 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from scenes.commands.shared.console import display_task, make_table_with_headings, print_sentence
 from scenes.commands.shared.experiment_flags import (
+    SPECIMEN_FLAGS,
+    TOOL_FLAGS,
     add_experiment_flags,
     make_experiment_from_flags,
     make_protocol_from_flags,
+    make_specimen_from_flags,
     require_known_scene,
 )
 from scenes.commands.shared.parsing import (
@@ -21,6 +24,8 @@ from scenes.commands.shared.parsing import (
     parse_positive_number,
 )
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.tools.tool import list_all_tool_sizes_by_key
+from tissue_sim.specimen import specimen_sizes
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -156,18 +161,26 @@ def find_export_content(arguments: Namespace, target: ExportTarget, file: Materi
 
 
 def _linearise(arguments: Namespace, target: ExportTarget, file: MaterialFile) -> MatchOutcome:
-    """Return the content of a file without ``--match``."""
-    for name in ("in_target", "poisson", "draws", "element_mm", "figure"):
-        if getattr(arguments, name) not in (None, False):
+    """Return the content of a file without ``--match``; ``--mesh`` adds the mesh for targets that write one."""
+    of_mesh = ("mesh", "mesh_unit", "mesh_base", "mesh_top") if target.writes_mesh else ()
+    for name in ("in_target", "poisson", "draws", "element_mm", "figure", "depth_mm", "protocol", *TOOL_FLAGS,
+                 *SPECIMEN_FLAGS, *list_all_tool_sizes_by_key(), *specimen_sizes()):
+        if name not in of_mesh and getattr(arguments, name) not in (None, False):
             raise InputError("requires a test. Add --match needle_indentation", field=f"--{name.replace('_', '-')}")
     if not target.uses_elastic_constants:
         return MatchOutcome((file.material,))
     from tissue_sim.exports.elastic_constants import linearise_material
+    from tissue_sim.mesh.solid import Grading
+    from tissue_sim.mesh.solid_element import HEX8P0
 
+    mesh = None
+    if any(getattr(arguments, name) is not None for name in of_mesh):
+        # The sizes of a grading have no effect on the mesh of a file.
+        mesh = make_specimen_from_flags(arguments, {}).solid_mesh(Grading(HEX8P0, 1.0, 1.0, 1.0, 1))
     warning = (f"The force error in {target.title} is not stated: the constants are those of the material at small "
                "strains. Add --match SCENE --in-target.")
     return MatchOutcome((file.material,), (linearise_material(file.material, target.max_poisson),), (warning,),
-                        (warning,))
+                        (warning,), mesh)
 
 
 def _refuse_impossible_match(arguments: Namespace, target: ExportTarget) -> None:

@@ -52,6 +52,10 @@ class RampDepthAndPointDefaults:
 
 #: Defaults of all commands with these flags.
 MOTION_FLAGS = RampDepthAndPointDefaults()
+#: Flags of tool and interfaces without default, besides the sizes of the tool.
+TOOL_FLAGS = ("tool", "friction", "friction_base", "friction_wall", "offset_mm", "tilt_deg")
+#: Flags of the specimen without default, besides its sizes.
+SPECIMEN_FLAGS = ("shape", "mesh", "mesh_unit", "mesh_base", "mesh_top", "gravity")
 #: Sizes of the cylinder without flags: the silicone specimen of the reference study.
 DEFAULT_CYLINDER_SIZES = {"radius_mm": 40.0, "height_mm": 70.0}
 #: Meshes for real time, finest first; the number counts the elements of the mesh for the reference needle test.
@@ -297,12 +301,16 @@ def make_experiment_from_flags(arguments, protocol: Protocol, material: Material
         changes["slip"] = arguments.slip
     if arguments.offset_mm is not None or arguments.tilt_deg is not None:
         changes["approach"] = ts.Approach((arguments.offset_mm or 0.0) * 1e-3, math.radians(arguments.tilt_deg or 0.0))
-    return scene.experiment(specimen=_make_specimen_from_flags(arguments, weight), protocol=protocol,
+    return scene.experiment(specimen=make_specimen_from_flags(arguments, weight), protocol=protocol,
                             tool=_make_tool_from_flags(arguments, shape, profile, scene_tool), **changes)
 
 
-def _make_specimen_from_flags(arguments, weight: dict[str, Any]) -> Specimen:
-    """Return the specimen of the flags; `weight` holds its arguments of self-weight."""
+def make_specimen_from_flags(arguments, weight: dict[str, Any]) -> Specimen:
+    """Return the specimen of the flags; `weight` holds its arguments of self-weight.
+
+    Raises:
+        InputError: flags that contradict each other, or values that the specimen does not accept.
+    """
     stated = {key: value for key in specimen_sizes() if (value := getattr(arguments, key)) is not None}
     mesh_options = {name: value for name in ("mesh_unit", "mesh_base", "mesh_top")
                     if (value := getattr(arguments, name)) is not None}
@@ -385,9 +393,7 @@ def load_reduced_model_and_set_flags(arguments) -> ReducedModel | None:
     if arguments.solver != "axisymmetric":
         raise InputError("cannot be combined with --reduced, which selects its solver. Leave this flag out",
                          field="--solver")
-    stated = ("tool", "friction", "friction_base", "friction_wall", "offset_mm", "tilt_deg", "shape", "mesh",
-              "mesh_unit", "mesh_base", "mesh_top", "gravity", *list_all_tool_sizes_by_key(), *specimen_sizes())
-    for name in stated:
+    for name in (*TOOL_FLAGS, *SPECIMEN_FLAGS, *list_all_tool_sizes_by_key(), *specimen_sizes()):
         if getattr(arguments, name, None) not in (None, False):
             raise InputError("cannot be combined with --reduced, whose file defines it. Leave this flag out, or "
                              "make another reduced model", field=f"--{name.replace('_', '-')}")
