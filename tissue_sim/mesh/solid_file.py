@@ -29,7 +29,7 @@ from tissue_sim.mesh.formats.checks import (
 )
 from tissue_sim.mesh.formats.inp import read_inp
 from tissue_sim.mesh.formats.through_meshio import read_through_meshio
-from tissue_sim.mesh.solid import SolidMesh, create_mesh_with_surface_sets
+from tissue_sim.mesh.solid import SolidMesh, create_mesh_with_surface_sets, cut_hexahedra_at_lowest_corners
 from tissue_sim.mesh.solid_element import (
     HEX8P0,
     HEX27P1,
@@ -106,24 +106,12 @@ def convert_to_element_type(mesh: SolidMesh, element: SolidElement) -> SolidMesh
 def split_hexahedra(mesh: SolidMesh, element: Tetrahedron) -> SolidMesh:
     """Return the mesh of tetrahedra, six for each hexahedron of a mesh; quadratic tetrahedra keep curved faces.
 
-    The corner with the lowest number is joined to the three faces that do not contain it. Each face is cut at its
-    lowest corner, so that neighbours match (Dompierre et al., How to subdivide pyramids, prisms and hexahedra into
-    tetrahedra, 8th International Meshing Roundtable, 1999).
-
     Args:
         mesh: mesh of hexahedra.
         element: element type of the tetrahedra.
     """
     given = mesh.element
-    corners = mesh.connectivity[:, given.local_corner_indices]
-    sides = given.local_face_node_indices[:, given.corner_indices_within_face]
-    local = {node: index for index, node in enumerate(given.local_corner_indices.tolist())}
-    sides = np.vectorize(local.get)(sides)
-    cut = np.array([_split_hexahedron(each, sides)
-                    for each in corners])  # indices of the element's corners, (elements, 6, 4)
-    vertices = given.reference_nodes[given.local_corner_indices][cut]
-    is_inverted = np.linalg.det(vertices[..., 1:, :] - vertices[..., :1, :]) < 0.0
-    cut[is_inverted] = cut[is_inverted][:, [0, 2, 1, 3]]
+    corners, cut = mesh.connectivity[:, given.local_corner_indices], cut_hexahedra_at_lowest_corners(mesh)
     vertices = given.reference_nodes[given.local_corner_indices][cut]
     inside = np.einsum("nc,etci->etni", element.corner_functions_at_nodes, vertices)
     values, _ = given.evaluate_shape_functions_and_gradients(inside.reshape(-1, 3))
@@ -134,17 +122,6 @@ def split_hexahedra(mesh: SolidMesh, element: Tetrahedron) -> SolidMesh:
     numbers = np.take_along_axis(corners[:, None], cut, axis=2).reshape(-1, 4)
     nodes, connectivity = number_nodes_by_shared_corners(element, numbers, positions.reshape(-1, element.node_count, 3))
     return create_mesh_with_surface_sets(element, nodes, connectivity)
-
-
-def _split_hexahedron(corners: np.ndarray, sides: np.ndarray) -> list[list[int]]:
-    """Return the six tetrahedra of a hexahedron as indices of its corners; `corners` are their node numbers."""
-    lowest = int(np.argmin(corners))
-    found = []
-    for side in sides:
-        if lowest not in side:
-            a, b, c, d = np.roll(side, -int(np.argmin(corners[side]))).tolist()
-            found += [[lowest, a, b, c], [lowest, a, c, d]]
-    return found
 
 
 #: Size of the largest accepted file, bytes.
