@@ -146,7 +146,7 @@ class SolidMesh:
 
     @property
     def tetrahedra(self) -> np.ndarray:
-        """Linear tetrahedra between all nodes, which share faces with their neighbours, as node numbers, shape (n, 4)."""
+        """Node numbers of linear tetrahedra between all nodes, which share faces with neighbours, shape (n, 4)."""
         if self.element.node_count > len(self.element.local_corner_indices) or not isinstance(self.element, Hexahedron):
             return self.connectivity[:, subdivide_into_tetrahedra(self.element)].reshape(-1, 4)
         corners = self.connectivity[:, self.element.local_corner_indices]
