@@ -18,7 +18,6 @@ from calibration.targets.soft_body import (
     RestSettings,
     SteppedSoftBody,
     compute_nodal_forces,
-    compute_volume,
     require_constants,
     require_sphere_or_cylinder,
     run_steps_along_path,
@@ -88,13 +87,14 @@ class FlexBody(SteppedSoftBody):
         import mujoco
 
         self.time_step = test.time_step or SETTINGS.time_step
-        self.surface = np.unique(np.concatenate([test.mesh.sets["top"], test.mesh.sets["side"]]))
+        mesh = self._mesh = test.tetrahedral_mesh
+        self.surface = mesh.surface
         self._mujoco, self._test, self._constants = mujoco, test, constants
         self.model = mujoco.MjModel.from_xml_string(_write_model(test, constants, self.time_step))
         self.data = mujoco.MjData(self.model)
         self._springs, self._tool = np.zeros(0, dtype=int), test.positions[0]
         if test.is_bonded:
-            joints = self.model.body_jntadr[self.model.flex_vertbodyid[test.mesh.sets["face"]]]
+            joints = self.model.body_jntadr[self.model.flex_vertbodyid[mesh.sets["face"]]]
             self._springs = self.model.jnt_qposadr[joints][:, None] + np.arange(3)
             self.model.jnt_stiffness[joints[:, None] + np.arange(3)] = SETTINGS.face_stiffness
             self._rest = self.model.qpos0[self._springs]
@@ -123,9 +123,9 @@ class FlexBody(SteppedSoftBody):
     def compute_forces_on_tool_and_base(self) -> tuple[np.ndarray, np.ndarray]:
         """Return the forces; see `SteppedSoftBody`. That on the tool is that of the springs or of the contacts."""
         forces = compute_nodal_forces(
-            self._test.mesh.nodes, self._test.tetrahedra, self.get_positions(),
+            self._mesh.nodes, self._mesh.cells, self.get_positions(),
             lambda F: compute_saint_venant_kirchhoff_stress(F, self._constants.mu, self._constants.lame))
-        on_base = forces[self._test.mesh.sets["base"]].sum(axis=0)
+        on_base = forces[self._mesh.sets["base"]].sum(axis=0)
         if self._test.is_bonded:
             stretches = self.data.qpos[self._springs] - self.model.qpos_spring[self._springs]
             return SETTINGS.face_stiffness * stretches.sum(axis=0), on_base
@@ -151,7 +151,7 @@ class FlexBody(SteppedSoftBody):
 
 def _write_model(test: TargetTest, constants: ElasticConstants, time_step: float) -> str:
     """Return the MJCF text of a test."""
-    mesh, friction = test.mesh, test.friction
+    mesh, friction = test.tetrahedral_mesh, test.friction
     contact = '<contact selfcollide="none" contype="0" conaffinity="0"/>'
     tool = ""
     if not test.is_bonded:
@@ -162,9 +162,7 @@ def _write_model(test: TargetTest, constants: ElasticConstants, time_step: float
         tool = (f'<body name="tool">{slides}<inertial pos="0 0 0" mass="{SETTINGS.tool_mass:g}" '
                 f'diaginertia="1 1 1"/>{_write_tool_geometry(test.tool, surface)}</body>')
     flag = '<flag contact="disable"/>' if test.is_bonded else ""
-    density = constants.density or SETTINGS.density
-    flex = make_flex_element(constants, mass=density * compute_volume(mesh.nodes, test.tetrahedra), nodes=mesh.nodes,
-                             tetrahedra=test.tetrahedra, pinned=mesh.sets["base"], contact=contact)
+    flex = make_flex_element(constants, mesh, constants.density or SETTINGS.density, contact=contact)
     return (f'<mujoco><option timestep="{time_step:.9g}" integrator="discrete" solver="Newton" cone="elliptic" '
             f'gravity="0 0 0" iterations="{SETTINGS.iterations}" tolerance="{SETTINGS.tolerance:g}">{flag}</option>'
             f'<size memory="4G"/><worldbody>{tool}{flex}</worldbody></mujoco>')

@@ -96,14 +96,14 @@ class VbdBody(SteppedSoftBody):
         import newton
 
         self.time_step = test.time_step or SETTINGS.time_step
-        self.surface = np.unique(np.concatenate([test.mesh.sets["top"], test.mesh.sets["side"]]))
         self._test, self._constants, self._k_damp = test, constants, compute_k_damp(constants)
-        mesh = test.mesh
+        mesh = self._mesh = test.tetrahedral_mesh
+        self.surface = mesh.surface
         self._base, self._face = mesh.sets["base"], mesh.sets["face"] if test.is_bonded else np.zeros(0, dtype=int)
         builder = newton.ModelBuilder(gravity=(0.0, 0.0, 0.0))
         builder.add_soft_mesh(pos=wp.vec3(0.0, 0.0, 0.0), rot=wp.quat_identity(), scale=1.0,
                               vel=wp.vec3(0.0, 0.0, 0.0), vertices=[wp.vec3(*node) for node in mesh.nodes.tolist()],
-                              indices=test.tetrahedra.ravel().tolist(), density=constants.density or SETTINGS.density,
+                              indices=mesh.cells.ravel().tolist(), density=constants.density or SETTINGS.density,
                               k_mu=constants.mu, k_lambda=constants.lame, k_damp=self._k_damp,
                               add_surface_mesh_edges=False, particle_radius=SETTINGS.particle_radius)
         self._free = np.setdiff1d(np.arange(len(mesh.nodes)), np.concatenate([self._base, self._face]))
@@ -150,7 +150,7 @@ class VbdBody(SteppedSoftBody):
         self._before = self.get_positions()
         if self._test.is_bonded:
             positions = self._state.particle_q.numpy()
-            positions[self._face] = self._test.mesh.nodes[self._face] + tool_position - self._test.positions[0]
+            positions[self._face] = self._mesh.nodes[self._face] + tool_position - self._test.positions[0]
             self._state.particle_q.assign(positions)
         else:
             for state in (self._state, self._after):
@@ -175,15 +175,15 @@ class VbdBody(SteppedSoftBody):
         bonded face. In contact the force on the tool is the sum of the contact forces that Newton states,
         or the force on the base if the solver states none.
         """
-        mesh, tetrahedra, step = self._test.mesh, self._test.tetrahedra, self.time_step
+        mesh, step = self._mesh, self.time_step
         before, after = self._before, self.get_positions()
-        old = compute_deformation_gradients(mesh.nodes, tetrahedra, before)
+        old = compute_deformation_gradients(mesh.nodes, mesh.cells, before)
 
         def stress(gradient: np.ndarray) -> np.ndarray:
             rate = (np.swapaxes(gradient, 1, 2) @ gradient - np.swapaxes(old, 1, 2) @ old) / step
             return self._compute_stress(gradient, rate)
 
-        forces = compute_nodal_forces(mesh.nodes, tetrahedra, after, stress)
+        forces = compute_nodal_forces(mesh.nodes, mesh.cells, after, stress)
         on_base = forces[self._base].sum(axis=0)
         if self._test.is_bonded:
             return -forces[self._face].sum(axis=0), on_base

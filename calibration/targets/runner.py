@@ -14,6 +14,7 @@ from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.exports.elastic_constants import ElasticConstants
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.mesh.tetrahedral import TetrahedralMesh, make_tetrahedral_mesh
 from tissue_sim.registry import Registry
 
 #: Function that receives the number of finished positions and the number of all positions.
@@ -50,9 +51,9 @@ class TargetTest:
     max_seconds: float = 60.0
 
     @cached_property
-    def tetrahedra(self) -> np.ndarray:
-        """Linear tetrahedra that fill the elements of the mesh, as indices of nodes, shape (n, 4)."""
-        return self.mesh.tetrahedra
+    def tetrahedral_mesh(self) -> TetrahedralMesh:
+        """Linear tetrahedra of the mesh, for programs without other elements."""
+        return make_tetrahedral_mesh(self.mesh)
 
 
 @dataclass(frozen=True)

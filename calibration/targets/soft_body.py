@@ -73,11 +73,6 @@ def compute_deformation_gradients(nodes: np.ndarray, tetrahedra: np.ndarray, pos
     return _compute_edge_matrices(positions, tetrahedra) @ np.linalg.inv(_compute_edge_matrices(nodes, tetrahedra))
 
 
-def compute_volume(nodes: np.ndarray, tetrahedra: np.ndarray) -> float:
-    """Return the volume of tetrahedra, m3."""
-    return float(np.linalg.det(_compute_edge_matrices(nodes, tetrahedra)).sum()) / 6.0
-
-
 def _compute_edge_matrices(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     """Return the matrices whose columns are the edges from the first corner, m, shape (n, 3, 3)."""
     return np.swapaxes(points[tetrahedra[:, 1:]] - points[tetrahedra[:, :1]], 1, 2)
@@ -212,7 +207,7 @@ def _step_to_position(body: SteppedSoftBody, test: TargetTest, rest: RestSetting
 
 def _has_inverted_element(body: SteppedSoftBody, test: TargetTest) -> bool:
     """Return whether the volume of an element is zero or negative."""
-    edges = _compute_edge_matrices(body.get_positions(), test.tetrahedra)
+    edges = _compute_edge_matrices(body.get_positions(), test.tetrahedral_mesh.cells)
     return bool((np.linalg.det(edges) <= 0.0).any())
 
 

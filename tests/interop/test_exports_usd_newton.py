@@ -13,6 +13,7 @@ from tissue_sim.exports.elastic_constants import linearise_material
 from tissue_sim.exports.unit_systems import UNIT_SYSTEMS
 from tissue_sim.exports.usd import USD
 from tissue_sim.mesh.solid_element import HEX8P0
+from tissue_sim.mesh.tetrahedral import make_tetrahedral_mesh
 
 newton = pytest.importorskip("newton", reason="needs Newton: pip install tissue_sim[newton]")
 pytest.importorskip("newton_usd_schemas", reason="needs pip install newton-usd-schemas")
@@ -41,7 +42,7 @@ def test_newton_reads_moduli_density_and_mesh():
     assert not [message for message in messages if "deformable" in message.lower() or "poisson" in message.lower()]
     np.testing.assert_allclose(np.array(builder.tet_materials)[:, :2], [[MATERIAL.mu0, lame]] * builder.tet_count,
                                rtol=1e-6)
-    assert builder.tet_count == len(mesh.tetrahedra)
+    assert builder.tet_count == len(make_tetrahedral_mesh(mesh).cells)
     assert sum(builder.particle_mass) == pytest.approx(1040.0 * 0.02 * 0.03 * 0.01, rel=1e-5)
 
 

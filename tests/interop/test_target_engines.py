@@ -13,6 +13,7 @@ from tissue_sim.exports import ExportContent, find_export_target
 from tissue_sim.exports.elastic_constants import ElasticConstants
 from tissue_sim.mesh.solid import create_block_mesh_from_boundaries, create_cylinder_mesh_under_needle
 from tissue_sim.mesh.solid_element import HEX8P0
+from tissue_sim.mesh.tetrahedral import make_tetrahedral_mesh
 
 pytestmark = pytest.mark.slow
 MODULES = {"mujoco": "mujoco", "newton": "newton"}
@@ -60,7 +61,7 @@ def test_uniaxial_stress_of_a_block(engine):
 
 
 def test_bonded_force_is_that_of_linear_elasticity_on_the_same_tetrahedra(engine, mesh):
-    depth, cells, size = 1e-4, mesh.tetrahedra, mesh.nodes.size
+    depth, cells, size = 1e-4, make_tetrahedral_mesh(mesh).cells, mesh.nodes.size
     stiffness = np.zeros((size, size))
     for column in range(size):
         moved = mesh.nodes.copy()
@@ -121,7 +122,7 @@ def _load_mujoco(text, mesh):
     model = mujoco.MjModel.from_xml_string(text)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    nodes, cells = data.flexvert_xpos.copy(), mesh.tetrahedra
+    nodes, cells = data.flexvert_xpos.copy(), make_tetrahedral_mesh(mesh).cells
     data.qpos[:] = 1e-4 * np.random.default_rng(1).standard_normal(model.nq)
     mujoco.mj_forward(model, data)
     moved = data.flexvert_xpos.copy()
@@ -140,7 +141,7 @@ def _load_newton(text, mesh):
     space = {}
     exec(compile(text, "tissue.py", "exec"), space)
     builder = newton.ModelBuilder()
-    space["add_soft_body"](builder, mesh.nodes, mesh.tetrahedra.ravel())
+    space["add_soft_body"](builder, mesh.nodes, make_tetrahedral_mesh(mesh).cells.ravel())
     mu, lame, damping = np.array(builder.tet_materials)[0]
     return [mu, lame, 2.0 * damping / mu]
 

@@ -7,6 +7,7 @@ from solid_meshes import block, punched_cylinder
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, create_cylinder_mesh, create_cylinder_mesh_under_needle
 from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, TET8P0, TET15P1
+from tissue_sim.mesh.tetrahedral import make_tetrahedral_mesh
 
 every_element = pytest.mark.parametrize("element", SOLID_ELEMENTS.values(), ids=lambda element: element.name)
 NEEDLE = {"smallest": 1.3e-3, "growth": 1.8, "largest": 15e-3}
@@ -86,15 +87,22 @@ def test_a_circle_beyond_the_cylinder_is_refused():
 @pytest.mark.parametrize("element", [HEX8P0, HEX27P1, TET8P0, TET15P1], ids=lambda element: element.name)
 @pytest.mark.parametrize("shape", ["block", "cylinder"])
 def test_linear_tetrahedra_share_faces_with_their_neighbours(shape, element):
-    """Inner faces belong to two tetrahedra, the others have the area of the surface; all nodes are used."""
+    """Inner faces belong to two tetrahedra, the others have the area of the surface; other nodes are left out."""
     line = np.linspace(-0.01, 0.01, 4)
     mesh = block(line, line, line - 0.01, element) if shape == "block" else punched_cylinder(
         element, smallest=4e-3, growth=2.0, largest=20e-3, around=2)
-    cells = mesh.tetrahedra
+    linear = make_tetrahedral_mesh(mesh)
+    cells = linear.cells
     faces, counts = np.unique(np.sort(cells[:, [[0, 1, 2], [0, 1, 3], [0, 2, 3], [1, 2, 3]]].reshape(-1, 3), axis=1),
                               axis=0, return_counts=True)
-    corners = mesh.nodes[faces[counts == 1]]
+    corners = linear.nodes[faces[counts == 1]]
     area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    volumes = np.linalg.det(mesh.nodes[cells[:, 1:]] - mesh.nodes[cells[:, :1]]) / 6.0
-    assert counts.max() == 2 and volumes.min() > 0.0 and np.unique(cells).size == len(mesh.nodes)
-    assert area == pytest.approx(mesh.surface_node_areas.sum(), rel=0.02 if shape == "cylinder" else 1e-9)
+    volumes = np.linalg.det(linear.nodes[cells[:, 1:]] - linear.nodes[cells[:, :1]]) / 6.0
+    assert counts.max() == 2 and volumes.min() > 0.0 and volumes.sum() == pytest.approx(linear.volume)
+    used = np.unique(mesh.connectivity[:, element.local_corner_indices])
+    np.testing.assert_array_equal(linear.nodes, mesh.nodes[used])
+    np.testing.assert_array_equal(np.unique(cells), np.arange(len(used)))
+    for name, numbers in mesh.sets.items():
+        np.testing.assert_array_equal(used[linear.sets[name]], np.intersect1d(numbers, used))
+    assert np.isin(np.unique(faces[counts == 1]), np.union1d(linear.surface, linear.sets["base"])).all()
+    assert area == pytest.approx(mesh.surface_node_areas.sum(), rel=0.06 if shape == "cylinder" else 1e-9)

@@ -14,6 +14,7 @@ import numpy as np
 from tissue_sim.exports.elastic_constants import ElasticConstants
 from tissue_sim.exports.target import ExportContent, ExportTarget, format_comment_lines
 from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.mesh.tetrahedral import TetrahedralMesh, make_tetrahedral_mesh
 
 #: Radius of the nodes of a flex in contact, m; a larger one would add to the tissue.
 _NODE_RADIUS = 1e-5
@@ -56,11 +57,8 @@ def _list_flex_lines(label: str, constants: ElasticConstants, mesh: SolidMesh | 
     if mesh is None:
         return [f'    <!-- {label}: put this element into your flexcomp dim="3", whose mass is {density:g} kg/m3 '
                 "times its volume: -->", f"    <!-- {make_elasticity_element(constants)} -->"]
-    tetrahedra = mesh.tetrahedra
-    corners = mesh.nodes[tetrahedra]
-    volume = float(np.linalg.det(corners[:, 1:] - corners[:, :1]).sum()) / 6.0
-    return ["    " + make_flex_element(constants, mass=density * volume, nodes=mesh.nodes, tetrahedra=tetrahedra,
-                                       pinned=mesh.sets["base"], contact='<contact selfcollide="none"/>', name=label)]
+    return ["    " + make_flex_element(constants, make_tetrahedral_mesh(mesh), density,
+                                       contact='<contact selfcollide="none"/>', name=label)]
 
 
 def make_elasticity_element(constants: ElasticConstants) -> str:
@@ -69,23 +67,21 @@ def make_elasticity_element(constants: ElasticConstants) -> str:
             f'damping="{constants.damping_time:.15g}"/>')
 
 
-def make_flex_element(constants: ElasticConstants, *, mass: float, nodes: np.ndarray, tetrahedra: np.ndarray,
-                      pinned: np.ndarray, contact: str, name: str = "tissue") -> str:
-    """Return the element ``flexcomp`` of a body of linear tetrahedra.
+def make_flex_element(constants: ElasticConstants, mesh: TetrahedralMesh, density: float, *, contact: str,
+                      name: str = "tissue") -> str:
+    """Return the element ``flexcomp`` of a body that is fixed at its base.
 
     Args:
         constants: elastic constants and damping.
-        mass: mass of the body, kg.
-        nodes: positions, m, shape (nodes, 3).
-        tetrahedra: indices of nodes, shape (n, 4).
-        pinned: indices of the fixed nodes.
+        mesh: mesh of the body.
+        density: kg/m3.
         contact: element ``contact``.
         name: name of the flex.
     """
-    return (f'<flexcomp name={quoteattr(name)} type="direct" dim="3" mass="{mass:.15g}" radius="{_NODE_RADIUS:g}" '
-            f'point="{format_numbers(nodes)}" element="{format_numbers(tetrahedra)}">'
+    return (f'<flexcomp name={quoteattr(name)} type="direct" dim="3" mass="{density * mesh.volume:.15g}" '
+            f'radius="{_NODE_RADIUS:g}" point="{format_numbers(mesh.nodes)}" element="{format_numbers(mesh.cells)}">'
             f'{make_elasticity_element(constants)}{contact}<edge equality="false"/>'
-            f'<pin id="{format_numbers(pinned)}"/></flexcomp>')
+            f'<pin id="{format_numbers(mesh.sets["base"])}"/></flexcomp>')
 
 
 def format_numbers(values: np.ndarray | Iterable[float]) -> str:

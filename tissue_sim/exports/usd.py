@@ -14,8 +14,6 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
 
-import numpy as np
-
 from tissue_sim.decode import parse_json_rejecting_duplicate_keys
 from tissue_sim.errors import InputError
 from tissue_sim.exports.elastic_constants import ElasticConstants
@@ -28,6 +26,7 @@ from tissue_sim.material.file import (
 )
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
+from tissue_sim.mesh.tetrahedral import make_tetrahedral_mesh
 
 #: Path of the prim that contains all others.
 ROOT = "/Tissue"
@@ -186,10 +185,10 @@ def _write_values(pxr: Any, prim: Any, material: Material, constants: ElasticCon
 
 def _write_mesh(pxr: Any, stage: Any, mesh: SolidMesh, units: UnitSystem, usd_material: Any) -> None:
     """Write the mesh as linear tetrahedra with the material."""
-    used, cells = np.unique(mesh.tetrahedra, return_inverse=True)
+    linear = make_tetrahedral_mesh(mesh)
     usd_mesh = pxr.UsdGeom.TetMesh.Define(stage, f"{ROOT}/Mesh")
-    usd_mesh.CreatePointsAttr([tuple(point) for point in (mesh.nodes[used] / units.length).tolist()])
-    usd_mesh.CreateTetVertexIndicesAttr([tuple(cell) for cell in cells.reshape(-1, 4).tolist()])
+    usd_mesh.CreatePointsAttr([tuple(point) for point in (linear.nodes / units.length).tolist()])
+    usd_mesh.CreateTetVertexIndicesAttr([tuple(cell) for cell in linear.cells.tolist()])
     usd_mesh.CreateSurfaceFaceVertexIndicesAttr(pxr.UsdGeom.TetMesh.ComputeSurfaceFaces(
         usd_mesh, pxr.Usd.TimeCode.Default()))
     usd_mesh.CreateExtentAttr(pxr.UsdGeom.PointBased.ComputeExtent(usd_mesh.GetPointsAttr().Get()))

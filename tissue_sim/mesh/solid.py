@@ -14,7 +14,6 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.axisymmetric import divide_into_growing_intervals, insert_interfaces_and_refine_layers
 from tissue_sim.mesh.section import Curve, PlanarMesh, make_quarter_circle, make_rectangle_side
-from tissue_sim.mesh.sections import subdivide_into_tetrahedra
 from tissue_sim.mesh.solid_element import HEX8P0, HEX27P1, MAX_NODES, TET8P0, TET15P1, Hexahedron, SolidElement
 from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.registry import Registry
@@ -145,14 +144,6 @@ class SolidMesh:
         return -self.nodes[self.connectivity, 2].mean(axis=1)
 
     @property
-    def tetrahedra(self) -> np.ndarray:
-        """Node numbers of linear tetrahedra between all nodes, which share faces with neighbours, shape (n, 4)."""
-        if self.element.node_count > len(self.element.local_corner_indices) or not isinstance(self.element, Hexahedron):
-            return self.connectivity[:, subdivide_into_tetrahedra(self.element)].reshape(-1, 4)
-        corners = self.connectivity[:, self.element.local_corner_indices]
-        return np.take_along_axis(corners[:, None], cut_hexahedra_at_lowest_corners(self), axis=2).reshape(-1, 4)
-
-    @property
     def surface_node_areas(self) -> np.ndarray:
         """Tributary area of each node on the whole surface, m2, shape (n,); 0 for nodes in the interior."""
         return self.compute_node_areas_of_named_faces(*self.faces)
@@ -178,37 +169,6 @@ class SolidMesh:
         contour = (np.cross(start, 4.0 * middle - 3.0 * start - end) + 4.0 * np.cross(middle, end - start)
                    + np.cross(end, start - 4.0 * middle + 3.0 * end)).sum(axis=1) / 6.0
         return 0.5 * np.linalg.norm(contour, axis=1)
-
-
-def cut_hexahedra_at_lowest_corners(mesh: SolidMesh) -> np.ndarray:
-    """Cut each hexahedron of a mesh into six tetrahedra, so that neighbours share faces.
-
-    The corner with the lowest number is joined to the three faces that do not contain it. Each face is cut at its
-    lowest corner (Dompierre et al., How to subdivide pyramids, prisms and hexahedra into tetrahedra, 8th International
-    Meshing Roundtable, 1999).
-
-    Returns:
-        Indices of the corners of each element, shape (elements, 6, 4); volumes are positive.
-    """
-    element = mesh.element
-    local = {node: index for index, node in enumerate(element.local_corner_indices.tolist())}
-    sides = np.vectorize(local.get)(element.local_face_node_indices[:, element.corner_indices_within_face])
-    cut = np.array([_cut_hexahedron(corners, sides) for corners in mesh.connectivity[:, element.local_corner_indices]])
-    vertices = element.reference_nodes[element.local_corner_indices][cut]
-    is_inverted = np.linalg.det(vertices[..., 1:, :] - vertices[..., :1, :]) < 0.0
-    cut[is_inverted] = cut[is_inverted][:, [0, 2, 1, 3]]
-    return cut
-
-
-def _cut_hexahedron(corners: np.ndarray, sides: np.ndarray) -> list[list[int]]:
-    """Return the six tetrahedra of a hexahedron as indices of its corners; `corners` are their node numbers."""
-    lowest = int(np.argmin(corners))
-    found = []
-    for side in sides:
-        if lowest not in side:
-            a, b, c, d = np.roll(side, -int(np.argmin(corners[side]))).tolist()
-            found += [[lowest, a, b, c], [lowest, a, c, d]]
-    return found
 
 
 def create_block_mesh_from_boundaries(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray,

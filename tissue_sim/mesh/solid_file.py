@@ -29,7 +29,7 @@ from tissue_sim.mesh.formats.checks import (
 )
 from tissue_sim.mesh.formats.inp import read_inp
 from tissue_sim.mesh.formats.through_meshio import read_through_meshio
-from tissue_sim.mesh.solid import SolidMesh, create_mesh_with_surface_sets, cut_hexahedra_at_lowest_corners
+from tissue_sim.mesh.solid import SolidMesh, create_mesh_with_surface_sets
 from tissue_sim.mesh.solid_element import (
     HEX8P0,
     HEX27P1,
@@ -39,6 +39,7 @@ from tissue_sim.mesh.solid_element import (
     Tetrahedron,
     evaluate_ten_node_functions,
 )
+from tissue_sim.mesh.tetrahedral import cut_hexahedra_at_lowest_corners
 
 
 @dataclass(frozen=True)

@@ -235,8 +235,8 @@ def _describe_test(arguments: Namespace, experiment: Experiment, mesh: SolidMesh
     lines = [f"Test: {arguments.match}, {experiment.specimen.in_words}; tool: {tool.shape}{size}; interface of its "
              f"face: {experiment.friction}; to {1e3 * protocol.depth:g} mm in {protocol.time[-1]:g} s."]
     if mesh is not None:
-        lines.append(f"Mesh in the target: {len(mesh.nodes)} nodes, {len(mesh.tetrahedra)} linear "
-                     "tetrahedra.")
+        lines.append(f"Mesh in the target: {len(mesh.nodes)} nodes, {len(mesh.connectivity)} elements "
+                     f"({mesh.element.name}); programs with linear tetrahedra only use those between the corners.")
     return tuple(lines)
 
 
