@@ -22,7 +22,7 @@ from pathlib import Path
 
 from benchmarks.engines.figures import draw_figures
 from benchmarks.engines.jobs import JOBS, MESHES
-from benchmarks.engines.run import Results, execute, get_or_compute_truth, list_engines, list_runs
+from benchmarks.engines.run import Results, execute, get_or_compute_truth, list_constants, list_engines, list_runs
 from benchmarks.engines.tables import draw_tables, list_rows
 from benchmarks.measure import about, show
 from calibration.targets.runner import RUNNERS
@@ -86,9 +86,11 @@ def main() -> int:
             results.append(execute(run, results))
     stored = results.read()
     rows = list_rows([stored[run.key] for run in runs if run.key in stored], truths)
+    constants = list_constants(stored, engines)
     if options.figure is not None:
-        draw_figures(rows, truths, options.figure)
-    show({**about("engines"), "shows_all": options.all, "rows": rows}, draw_tables, as_json=options.json)
+        draw_figures(rows, truths, constants, options.figure)
+    show({**about("engines"), "shows_all": options.all, "constants": constants, "rows": rows}, draw_tables,
+         as_json=options.json)
     return 0
 
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.engines.jobs import JOBS, Job
 from benchmarks.engines.scoring import compute_path_lengths, interpolate_truth
-from benchmarks.engines.tables import select_finest
+from benchmarks.engines.tables import select_finest, select_finest_constants
 
 #: Colours that colour-blind readers can distinguish (Okabe and Ito), for the engines in their order.
 COLOURS = ("#0072B2", "#56B4E9", "#009E73", "#000000", "#D55E00", "#E69F00", "#CC79A7", "#F0E442", "#999999")
@@ -19,9 +19,12 @@ MARKERS = {"coarse": "o", "middle": "s", "fine": "^", "own": "D"}
 LARGEST_SHOWN_ERROR = 60.0
 
 
-def draw_figures(rows: list[dict[str, Any]], truths: dict[str, dict[str, Any]], folder: Path) -> None:
-    """Draw ``engines_forces.png`` and ``engines_cost.png`` into a folder."""
+def draw_figures(rows: list[dict[str, Any]], truths: dict[str, dict[str, Any]], constants: list[dict[str, Any]],
+                 folder: Path) -> None:
+    """Draw ``engines_forces.png``, ``engines_cost.png`` and, with fitted constants, ``engines_constants.png``."""
     folder.mkdir(parents=True, exist_ok=True)
+    if constants:
+        _draw_constants(constants, folder / "engines_constants.png")
     engines = list(dict.fromkeys(row["engine"] for row in rows))
     colours = {name: COLOURS[number % len(COLOURS)] for number, name in enumerate(engines)}
     _draw_forces(rows, truths, colours, folder / "engines_forces.png")
@@ -84,4 +87,26 @@ def _draw_cost(rows: list[dict[str, Any]], colours: dict[str, str], path: Path) 
         panel.set(title=job.name, xlabel="CPU time of a step [ms]", ylabel="rms force error [%]")
         panel.grid(alpha=0.3, which="both")
     axes[0].legend(fontsize=5.5)
+    figure.savefig(path, dpi=130)
+
+
+def _draw_constants(constants: list[dict[str, Any]], path: Path) -> None:
+    """Draw the force error by depth before and after the fit of the constants, on the finest mesh of each engine."""
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(10.0, 4.0), layout="constrained")
+    for panel, is_bonded in zip(figure.subplots(1, 2), (True, False), strict=True):
+        for row, colour in zip(select_finest_constants(constants, is_bonded), COLOURS[3:], strict=False):
+            depths, before = 1e3 * np.array(row["depths"]), 100.0 * np.array(row["uncompensated_errors"])
+            panel.plot(1e3 * np.array(row["calibrated_depths"])[:len(before)], before, "v--", color=colour,
+                       label=f"{row['version']} ({row['engine']}), constants at rest")
+            panel.plot(depths, 100.0 * np.array(row["errors"]), "o-", color=colour,
+                       label=f"{row['version']} ({row['engine']}), matched: E {row['constants']['young']:.0f} Pa, nu "
+                       f"{row['constants']['poisson']:g}")
+        panel.axhline(0.0, color="black", linewidth=0.8)
+        panel.set(title="bonded flat punch" if is_bonded else "ball with friction 0.3", xlabel="depth [mm]",
+                  ylabel="force error [%]")
+        panel.grid(alpha=0.3)
+        if panel.lines[:-1]:
+            panel.legend(fontsize=6)
     figure.savefig(path, dpi=130)

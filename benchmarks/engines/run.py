@@ -33,6 +33,8 @@ POISSON = {True: 0.49, False: 0.45}
 MAX_POSITION_SECONDS = 40.0
 #: Title of an engine -> material that replaces `MATERIAL`. CalculiX with K / mu0 = 1e4 needs increments below 0.05 mm.
 MATERIALS = {CALCULIX.title: replace(MATERIAL, bulk=ts.Bulk("bulk_ratio", 1e3))}
+#: Engines whose constants are not fitted: XPBD does not come to rest, and its force is not proportional to E.
+UNMATCHED = ("newton_xpbd",)
 #: Number of depths, the surface included, at which the constants are fitted.
 MATCHED_POINTS = 11
 #: Name of the mesh of engines that make their own.
@@ -109,8 +111,8 @@ def list_runs(engines: Sequence[str], jobs: Sequence[str], meshes: Sequence[str]
                         yield Run(engine, job, mesh, 0.0)
                     continue
                 for step in JOBS[job].steps:
-                    yield Run(engine, job, mesh, step)
-                if known[engine].uses_elastic_constants:
+                    yield Run(engine, job, mesh, step, is_matched=engine not in UNMATCHED)
+                if known[engine].uses_elastic_constants and engine not in UNMATCHED:
                     yield Run(engine, job, mesh, JOBS[job].steps[-1], is_matched=False)
 
 
@@ -167,12 +169,19 @@ def get_or_fit_constants(run: Run, job: Job, results: Results) -> ElasticConstan
                                   MAX_POISSON, poisson=POISSON[job.is_bonded], runner=list_engines()[run.engine],
                                   mesh=make_mesh(run.mesh, 0.0), max_seconds=MAX_POSITION_SECONDS)
         results.append({
-            "key": key, "constants": asdict(matched.constants), "uncompensated": asdict(matched.uncompensated),
+            "key": key, "engine": run.engine, "mesh": run.mesh, "is_bonded": job.is_bonded,
+            "calibrated_depths": matched.calibrated.depths.tolist(), "constants": asdict(matched.constants),
+            "uncompensated": asdict(matched.uncompensated),
             "depths": matched.depths.tolist(), "forces": matched.target_forces.tolist(),
             "errors": matched.errors.tolist(), "uncompensated_errors": matched.uncompensated_errors.tolist(),
             "ended": matched.ended, "runs": matched.runs, "version": matched.version})
         rows = results.read()
     return ElasticConstants(**rows[key]["constants"])
+
+
+def list_constants(stored: dict[str, dict[str, Any]], engines: Sequence[str]) -> list[dict[str, Any]]:
+    """Return the rows of fitted constants of engines."""
+    return [row for key, row in stored.items() if json.loads(key)[0] == "constants" and row["engine"] in engines]
 
 
 @cache

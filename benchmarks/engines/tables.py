@@ -6,6 +6,8 @@ import math
 from dataclasses import asdict
 from typing import Any
 
+import numpy as np
+
 from benchmarks.engines.jobs import JOBS, MESHES
 from benchmarks.engines.run import OWN_MESH
 from benchmarks.engines.scoring import compute_scores
@@ -28,8 +30,43 @@ def select_finest(rows: list[dict[str, Any]], job: str) -> list[dict[str, Any]]:
     return [row for _, row in best.values()]
 
 
+def select_finest_constants(constants: list[dict[str, Any]], is_bonded: bool) -> list[dict[str, Any]]:
+    """Return for each engine the fitted constants on the finest mesh, of bonded tools or of tools in contact."""
+    sizes = list(MESHES)
+    best = {row["engine"]: row for row in sorted(constants, key=lambda row: sizes.index(row["mesh"]))
+            if row["is_bonded"] == is_bonded}
+    return list(best.values())
+
+
+def draw_constants(constants: list[dict[str, Any]], console) -> None:
+    """Print the force errors by depth before and after the fit of the constants."""
+    depths = sorted({round(1e3 * depth, 6) for row in constants for depth in row["calibrated_depths"]})
+    for is_bonded in (True, False):
+        rows = [row for row in constants if row["is_bonded"] == is_bonded]
+        if not rows:
+            continue
+        known = [depth for depth in depths if any(
+            depth in np.round(1e3 * np.array(row["calibrated_depths"]), 6) for row in rows)]
+        table(console, f"{'bonded flat punch' if is_bonded else 'ball with friction'}: force error, %, by depth, mm",
+              ["engine", "mesh", "E, Pa", "nu", *(f"{depth:g}" for depth in known)],
+              [[f"{row['engine']}, {name}", row["mesh"], f"{row[key]['young']:.0f}", f"{row[key]['poisson']:g}",
+                *_list_errors(row, row[errors], known)]
+               for row in rows for name, key, errors in (("constants at rest", "uncompensated", "uncompensated_errors"),
+                                                         ("matched", "constants", "errors"))])
+
+
+def _list_errors(row: dict[str, Any], errors: list[float], depths: list[float]) -> list[str]:
+    """Format errors at depths, mm; a dash where the engine did not arrive."""
+    found = {round(1e3 * depth, 6): error for depth, error in zip(row["calibrated_depths"], errors, strict=False)}
+    return [f"{100.0 * found[depth]:+.1f}" if depth in found else "-" for depth in depths]
+
+
 def draw_tables(result: dict[str, Any], console) -> None:
-    """Print one table for each job: all runs, or the finest run of each engine."""
+    """Print the fitted constants, and one table for each job: all runs, or the finest run of each engine."""
+    if result["constants"]:
+        draw_constants(result["constants"] if result["shows_all"] else [
+            row for is_bonded in (True, False) for row in select_finest_constants(result["constants"], is_bonded)],
+            console)
     for name, job in JOBS.items():
         rows = [row for row in result["rows"] if row["job"] == name]
         if not rows:
