@@ -99,9 +99,9 @@ def _draw_constants(constants: list[dict[str, Any]], path: Path) -> None:
         for row, colour in zip(select_finest_constants(constants, is_bonded), COLOURS[3:], strict=False):
             depths, before = 1e3 * np.array(row["depths"]), 100.0 * np.array(row["uncompensated_errors"])
             panel.plot(1e3 * np.array(row["calibrated_depths"])[:len(before)], before, "v--", color=colour,
-                       label=f"{row['version']} ({row['engine']}), constants at rest")
+                       label=f"{row['version']}, {row['mesh']}, constants at rest")
             panel.plot(depths, 100.0 * np.array(row["errors"]), "o-", color=colour,
-                       label=f"{row['version']} ({row['engine']}), matched: E {row['constants']['young']:.0f} Pa, nu "
+                       label=f"{row['version']}, {row['mesh']}, matched: E {row['constants']['young']:.0f} Pa, nu "
                        f"{row['constants']['poisson']:g}")
         panel.axhline(0.0, color="black", linewidth=0.8)
         panel.set(title="bonded flat punch" if is_bonded else "ball with friction 0.3", xlabel="depth [mm]",

@@ -21,9 +21,13 @@ HEIGHT = 0.070
 TOOL_RADIUS = 8e-3
 #: Coefficient of friction of the jobs with contact, 1.
 FRICTION = 0.3
+#: K / mu0 of the material, 1.
+BULK_RATIO = 1e4
+#: K / mu0 in CalculiX, 1: with 1e4 its Newton iterations diverge from increments above 0.05 mm.
+CALCULIX_BULK_RATIO = 1e3
 #: Material of the reference study; nearly incompressible, elastic, with the density of water.
-MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4), 1000.0,
-                       name="silicone of the reference study")
+MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", BULK_RATIO),
+                       1000.0, name="silicone of the reference study")
 #: Speed of pressing in the jobs with inertia, m/s.
 PRESS_SPEED = 0.05
 #: Speed of the fast retreat, m/s.

@@ -12,13 +12,22 @@ import argparse
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 import tissue_sim as ts
+from benchmarks.engines.jobs import (
+    BULK_RATIO,
+    CALCULIX_BULK_RATIO,
+    FRICTION,
+    HEIGHT,
+    MATERIAL,
+    RADIUS,
+    TOOL_RADIUS,
+)
 from calibration.targets.calculix import RUNNER as CALCULIX
 from calibration.targets.runner import TargetTest
 from tissue_sim.fem.contact.pairs import ContactPair
@@ -30,18 +39,6 @@ from tissue_sim.pose import Pose
 
 #: Folder of the stored curves.
 FOLDER = Path(__file__).with_name("reference")
-#: Radius of the cylinder, m.
-RADIUS = 0.040
-#: Height of the cylinder, m.
-HEIGHT = 0.070
-#: Radius of the tools, m.
-TOOL_RADIUS = 8e-3
-#: Moduli of the study's law, Pa.
-MODULI = {"C10": 1404.9, "C20": 699.4}
-#: K / mu0 of ours, 1.
-RATIO = 1e4
-#: K / mu0 in CalculiX, 1: with 1e4 its Newton iterations diverge from increments above 0.05 mm.
-CALCULIX_RATIO = 1e3
 #: Number of load steps of ours between two positions.
 SUBSTEPS = 4
 #: Largest penetration of a node in ours, m.
@@ -91,12 +88,13 @@ def _list_positions(*corners: tuple[float, float, float], spacing: float) -> np.
 #: Name -> problem.
 PROBLEMS = {
     "off_axis": Problem("bonded flat punch 15 mm off the axis, 10 mm deep", ts.Tool("flat", radius=TOOL_RADIUS), True,
-                        0.0, _list_positions((15e-3, 0.0, 0.0), (15e-3, 0.0, -10e-3), spacing=2e-3), 15e-3,
+                        0.0, _list_positions((15e-3, 0.0, 0.0), (15e-3, 0.0, -10e-3), spacing=1e-3), 15e-3,
                         ((3.2e-3, 2.4, 20e-3, 2), (1.2e-3, 2.4, 20e-3, 2), (0.5e-3, 2.8, 20e-3, 2),
                          (2.2e-3, 2.2, 18e-3, 3), (1.6e-3, 2.0, 16e-3, 4))),
     "drag": Problem("ball with friction 0.3, 5 mm deep, then 5 mm along x", ts.Tool("sphere", radius=TOOL_RADIUS),
-                    False, 0.3, _list_positions((0.0, 0.0, 0.0), (0.0, 0.0, -5e-3), (5e-3, 0.0, -5e-3), spacing=1e-3),
-                    2.5e-3, ((3.2e-3, 2.4, 20e-3, 2), (2.2e-3, 2.2, 18e-3, 3), (1.6e-3, 2.0, 16e-3, 4))),
+                    False, FRICTION,
+                    _list_positions((0.0, 0.0, 0.0), (0.0, 0.0, -5e-3), (5e-3, 0.0, -5e-3), spacing=1e-3), 2.5e-3,
+                    ((3.2e-3, 2.4, 20e-3, 2), (2.2e-3, 2.2, 18e-3, 3), (1.6e-3, 2.0, 16e-3, 4))),
 }
 
 
@@ -104,7 +102,7 @@ def run_calculix(problem: Problem, level: int, ratio: float) -> tuple[np.ndarray
     """Return forces on the tool at the reached positions, N, shape (n, 3), and the reason of an early end."""
     test = TargetTest(problem.make_mesh(level), problem.tool, problem.positions, problem.is_bonded, problem.friction,
                       max_seconds=300.0)
-    material = ts.Material("reduced_polynomial_2", MODULI, ts.Bulk("bulk_ratio", ratio))
+    material = replace(MATERIAL, bulk=ts.Bulk("bulk_ratio", ratio))
     curve = CALCULIX.run(test, material)
     return curve.forces, curve.ended
 
@@ -112,7 +110,7 @@ def run_calculix(problem: Problem, level: int, ratio: float) -> tuple[np.ndarray
 def run_ours(problem: Problem, level: int, ratio: float) -> tuple[np.ndarray, str]:
     """Return forces on the tool at the reached positions, N, shape (n, 3), and the reason of an early end."""
     mesh = problem.make_mesh(level)
-    material = ts.Material("reduced_polynomial_2", MODULI, ts.Bulk("bulk_ratio", ratio))
+    material = replace(MATERIAL, bulk=ts.Bulk("bulk_ratio", ratio))
     start = Pose(tuple(problem.positions[0]))
     if problem.is_bonded:
         solver = SolidSolver(mesh, material, {"base": "xyz"}, mesh.sets["face"], start=start)
@@ -131,7 +129,7 @@ def run_ours(problem: Problem, level: int, ratio: float) -> tuple[np.ndarray, st
 
 
 #: Program -> function that computes a curve, and K / mu0.
-PROGRAMS = {"calculix": (run_calculix, CALCULIX_RATIO), "ours": (run_ours, RATIO)}
+PROGRAMS = {"calculix": (run_calculix, CALCULIX_BULK_RATIO), "ours": (run_ours, BULK_RATIO)}
 
 
 def format_curve(problem: Problem, program: str, rows: Sequence[dict]) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 
 import tissue_sim as ts
 from benchmarks.engines import newton_xpbd
-from benchmarks.engines.jobs import JOBS, MATERIAL, MESHES, Job, make_mesh
+from benchmarks.engines.jobs import CALCULIX_BULK_RATIO, JOBS, MATERIAL, MESHES, Job, make_mesh
 from benchmarks.engines.ours import OURS
 from benchmarks.engines.truth import REFERENCES, read_reference, simulate_truth
 from calibration.targets.calculix import RUNNER as CALCULIX
@@ -31,8 +31,8 @@ MAX_POISSON = 0.49
 POISSON = {True: 0.49, False: 0.45}
 #: Longest wall time of one position, s.
 MAX_POSITION_SECONDS = 40.0
-#: Title of an engine -> material that replaces `MATERIAL`. CalculiX with K / mu0 = 1e4 needs increments below 0.05 mm.
-MATERIALS = {CALCULIX.title: replace(MATERIAL, bulk=ts.Bulk("bulk_ratio", 1e3))}
+#: Title of an engine -> material that replaces `MATERIAL`.
+MATERIALS = {CALCULIX.title: replace(MATERIAL, bulk=ts.Bulk("bulk_ratio", CALCULIX_BULK_RATIO))}
 #: Engines whose constants are not fitted: XPBD does not come to rest, and its force is not proportional to E.
 UNMATCHED = ("newton_xpbd",)
 #: Number of depths, the surface included, at which the constants are fitted.
@@ -142,8 +142,8 @@ def execute(run: Run, results: Results) -> dict[str, Any]:
     except InputError as error:
         curve = TargetCurve(np.zeros((0, 3)), np.zeros((0, 3)), ended=str(error))
     return {"key": run.key, **asdict(run), "title": engine.title, "constants": constants and asdict(constants),
-            "forces": np.round(curve.forces, 9).tolist(), "ended": curve.ended, "step_seconds": curve.step_seconds,
-            "steps": int(np.sum(curve.steps)), "penetrations": np.round(curve.penetrations, 9).tolist(),
+            "forces": np.round(curve.forces, 6).tolist(), "ended": curve.ended, "step_seconds": curve.step_seconds,
+            "steps": int(np.sum(curve.steps)), "penetrations": np.round(curve.penetrations, 7).tolist(),
             "flagged": curve.flagged, "version": curve.version, "wall_seconds": time.perf_counter() - began,
             "date": date.today().isoformat()}
 
