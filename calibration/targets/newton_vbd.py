@@ -13,6 +13,7 @@ velocity, so that friction forces fade at rest. The tool of a quasi-static test 
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 from dataclasses import dataclass, replace
 from typing import Any
@@ -90,11 +91,10 @@ class VbdBody(SteppedSoftBody):
     """
 
     def __init__(self, test: TargetTest, constants: ElasticConstants):
-        import warp as wp
-
+        # The type hints of both packages reject arguments that they accept.
+        wp: Any = importlib.import_module("warp")
         wp.config.log_level = wp.LOG_ERROR  # before Newton is imported, which prints otherwise
-        import newton
-
+        newton: Any = importlib.import_module("newton")
         self.time_step = test.time_step or SETTINGS.time_step
         self._test, self._constants, self._k_damp = test, constants, compute_k_damp(constants)
         mesh = self._mesh = test.tetrahedral_mesh
@@ -123,7 +123,9 @@ class VbdBody(SteppedSoftBody):
             self._pipeline = newton.CollisionPipeline(model, soft_contact_gap=SETTINGS.contact_gap)
             self._contacts = self._pipeline.contacts()
             self._observables = self._allocate_observables_or_none()
-        self._state, self._after, self._control = model.state(), model.state(), model.control()
+        self._state: Any = model.state()
+        self._after: Any = model.state()
+        self._control: Any = model.control()
         self._before = self.get_positions()
 
     def _make_solver(self, newton: Any, model: Any) -> Any:
