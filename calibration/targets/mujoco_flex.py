@@ -8,22 +8,17 @@ elastic flexes with the integrators ``implicit`` and ``implicitfast``.
 
 from __future__ import annotations
 
-import importlib.util
 from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.targets.runner import Progress, TargetCurve, TargetRunner, TargetTest
+from calibration.targets.runner import Progress, TargetCurve, TargetTest
 from calibration.targets.soft_body import (
     RestSettings,
+    SoftBodyRunner,
     SteppedSoftBody,
     compute_nodal_forces,
-    require_constants,
-    require_sphere_or_cylinder,
-    run_steps_along_path,
-    with_minimum_damping,
 )
-from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.exports.elastic_constants import ElasticConstants
 from tissue_sim.exports.mujoco import format_numbers, make_flex_element
@@ -176,36 +171,32 @@ def _write_tool_geometry(tool: Tool, surface: str) -> str:
     return f'<geom type="cylinder" size="{radius:.9g} {half:.9g}" pos="0 0 {half:.9g}" {surface}/>'
 
 
-class MujocoRunner(TargetRunner):
+class MujocoRunner(SoftBodyRunner):
     """Runner of tests in MuJoCo's flex."""
 
     title = "MuJoCo flex"
+    program = "MuJoCo"
+    package = "mujoco"
+    damping_time = SETTINGS.damping_time
+    bonded_rest = BONDED_REST
+    contact_rest = CONTACT_REST
 
-    def describe_missing_program(self) -> str:
-        """Return why MuJoCo cannot run here; see `TargetRunner`."""
-        if importlib.util.find_spec("mujoco") is None:
-            return "MuJoCo is not installed. Run: pip install 'tissue_sim[mujoco]'"
-        return ""
+    def make_body(self, test: TargetTest, constants: ElasticConstants) -> SteppedSoftBody:
+        """Make the flex; see `SoftBodyRunner`."""
+        return FlexBody(test, constants)
 
     def run(self, test: TargetTest, material: Material | ElasticConstants, progress: Progress | None = None
             ) -> TargetCurve:
-        """Simulate a test; see `TargetRunner`."""
-        if missing := self.describe_missing_program():
-            raise InputError(missing, field="--in-target")
+        """Simulate a test without the log file of MuJoCo; see `TargetRunner`."""
+        if self.describe_missing_program():
+            return super().run(test, material, progress)
         import mujoco
 
-        constants = require_constants(material, self.title)
-        if not test.is_bonded:
-            require_sphere_or_cylinder(test.tool, self.title)
-        if test.times is None:
-            constants = with_minimum_damping(constants, SETTINGS.damping_time)
         printed = mujoco.get_mju_user_warning()
         # MuJoCo writes the warnings of its solver into a file in the current folder; a body at rest is checked instead.
         mujoco.set_mju_user_warning(lambda message: None)
         try:
-            return run_steps_along_path(FlexBody(test, constants), test,
-                                        BONDED_REST if test.is_bonded else CONTACT_REST,
-                                        f"MuJoCo {mujoco.__version__}", progress)
+            return super().run(test, material, progress)
         finally:
             mujoco.set_mju_user_warning(printed)
 

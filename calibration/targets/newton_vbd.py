@@ -14,27 +14,21 @@ velocity, so that friction forces fade at rest. The tool of a quasi-static test 
 from __future__ import annotations
 
 import importlib
-import importlib.util
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from calibration.targets.runner import Progress, TargetCurve, TargetRunner, TargetTest
+from calibration.targets.runner import TargetTest
 from calibration.targets.soft_body import (
     RestSettings,
+    SoftBodyRunner,
     SteppedSoftBody,
     compute_deformation_gradients,
     compute_nodal_forces,
-    require_constants,
-    require_sphere_or_cylinder,
-    run_steps_along_path,
-    with_minimum_damping,
 )
-from tissue_sim.errors import InputError
 from tissue_sim.exports.elastic_constants import ElasticConstants
 from tissue_sim.exports.newton import compute_k_damp
-from tissue_sim.material.material import Material
 
 
 @dataclass(frozen=True)
@@ -208,37 +202,27 @@ def _add_kinematic_tool(newton, wp, builder, test: TargetTest) -> None:
                                    radius=radius, half_height=half, cfg=surface)
 
 
-class NewtonRunner(TargetRunner):
+class NewtonRunner(SoftBodyRunner):
     """Runner of tests in Newton's soft body."""
 
     title = "Newton VBD"
+    program = "Newton"
+    package = "newton"
+    damping_time = SETTINGS.damping_time
+    bonded_rest = BONDED_REST
+    contact_rest = CONTACT_REST
     body_type: type[VbdBody] = VbdBody
 
-    def describe_missing_program(self) -> str:
-        """Return why Newton cannot run here; see `TargetRunner`."""
-        if importlib.util.find_spec("newton") is None:
-            return "Newton is not installed. Run: pip install 'tissue_sim[newton]'"
-        return ""
+    def make_body(self, test: TargetTest, constants: ElasticConstants) -> SteppedSoftBody:
+        """Make the soft body; see `SoftBodyRunner`."""
+        return self.body_type(test, constants)
 
-    def run(self, test: TargetTest, material: Material | ElasticConstants, progress: Progress | None = None
-            ) -> TargetCurve:
-        """Simulate a test; see `TargetRunner`."""
-        if missing := self.describe_missing_program():
-            raise InputError(missing, field="--in-target")
-        constants = require_constants(material, self.title)
-        if not test.is_bonded:
-            require_sphere_or_cylinder(test.tool, self.title)
-        if test.times is None and not test.is_bonded and test.friction:
-            # Friction forces fade at rest.
-            steps = np.linalg.norm(np.diff(test.positions, axis=0), axis=1)
-            test = replace(test, times=np.concatenate([[0.0], np.cumsum(steps)]) / SETTINGS.tool_speed)
-        if test.times is None:
-            constants = with_minimum_damping(constants, SETTINGS.damping_time)
-        body = self.body_type(test, constants)
-        import newton
-
-        return run_steps_along_path(body, test, BONDED_REST if test.is_bonded else CONTACT_REST,
-                                    f"Newton {newton.__version__}", progress)
+    def prepare_test(self, test: TargetTest) -> TargetTest:
+        """Return a test with times if it has friction, because friction forces fade at rest."""
+        if test.times is not None or test.is_bonded or not test.friction:
+            return test
+        steps = np.linalg.norm(np.diff(test.positions, axis=0), axis=1)
+        return replace(test, times=np.concatenate([[0.0], np.cumsum(steps)]) / SETTINGS.tool_speed)
 
 
 RUNNER = NewtonRunner()

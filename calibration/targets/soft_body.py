@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import importlib
+import importlib.util
 import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
-from calibration.targets.runner import Progress, TargetCurve, TargetTest
+from calibration.targets.runner import Progress, TargetCurve, TargetRunner, TargetTest
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.exports.elastic_constants import ElasticConstants
@@ -236,3 +239,51 @@ def require_constants(material: Material | ElasticConstants, title: str) -> Elas
 def with_minimum_damping(constants: ElasticConstants, damping_time: float) -> ElasticConstants:
     """Return constants whose damping time is at least a numerical one, s, with which a body comes to rest."""
     return replace(constants, damping_time=max(constants.damping_time, damping_time))
+
+
+class SoftBodyRunner(TargetRunner):
+    """Runner of a physics engine whose soft bodies are stepped in time.
+
+    Attributes:
+        program: name of the engine for people.
+        package: name of its Python package and of the extra that installs it.
+        damping_time: numerical damping of quasi-static tests, s.
+        bonded_rest: criteria for rest of a body with a bonded face.
+        contact_rest: criteria for rest of a body in contact.
+    """
+
+    program: ClassVar[str]
+    package: ClassVar[str]
+    damping_time: ClassVar[float]
+    bonded_rest: ClassVar[RestSettings]
+    contact_rest: ClassVar[RestSettings]
+
+    @abstractmethod
+    def make_body(self, test: TargetTest, constants: ElasticConstants) -> SteppedSoftBody:
+        """Make the body and the tool of a test, in the undeformed state."""
+
+    def prepare_test(self, test: TargetTest) -> TargetTest:
+        """Return the test as the engine runs it; by default unchanged."""
+        return test
+
+    def describe_missing_program(self) -> str:
+        """Return why the engine cannot run here; see `TargetRunner`."""
+        if importlib.util.find_spec(self.package) is None:
+            return f"{self.program} is not installed. Run: pip install 'tissue_sim[{self.package}]'"
+        return ""
+
+    def run(self, test: TargetTest, material: Material | ElasticConstants, progress: Progress | None = None
+            ) -> TargetCurve:
+        """Simulate a test; see `TargetRunner`."""
+        if missing := self.describe_missing_program():
+            raise InputError(missing, field="--in-target")
+        constants = require_constants(material, self.title)
+        if not test.is_bonded:
+            require_sphere_or_cylinder(test.tool, self.title)
+        test = self.prepare_test(test)
+        if test.times is None:
+            constants = with_minimum_damping(constants, self.damping_time)
+        body = self.make_body(test, constants)
+        version = f"{self.program} {importlib.import_module(self.package).__version__}"
+        return run_steps_along_path(body, test, self.bonded_rest if test.is_bonded else self.contact_rest, version,
+                                    progress)

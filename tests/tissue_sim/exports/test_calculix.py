@@ -47,10 +47,16 @@ RF
 U
 *END STEP
 """
-#: Compressed cylinder of the study, m: radius, height, displacement of the plate.
-RADIUS, HEIGHT, DEPTH = 0.04, 0.07, 0.01
-#: Elements along radius and height.
-COLUMNS, ROWS = 4, 6
+#: Radius of the compressed cylinder of the study, m.
+RADIUS = 0.04
+#: Height of the cylinder, m.
+HEIGHT = 0.07
+#: Largest displacement of the plate, m.
+DEPTH = 0.01
+#: Number of elements along the radius.
+COLUMNS = 4
+#: Number of elements along the height.
+ROWS = 6
 
 #: CalculiX computes a sector of 2 degrees of an axisymmetric body.
 SECTORS = 180
