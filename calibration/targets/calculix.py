@@ -151,7 +151,7 @@ def write_deck(test: TargetTest, material: Material, settings: CalculixSettings)
              f"*SOLID SECTION, ELSET=TISSUE, MATERIAL={content.labels[0]}"]
     if not test.is_bonded:
         lines += _list_contact_lines(test, material.mu0, settings)
-    lines += ["*BOUNDARY", "BASE, 1, 3"]
+    lines += ["*BOUNDARY", "BASE, 1, 3"] + ["SYMMETRY, 2, 2"] * ("symmetry" in test.mesh.sets)
     for motion in np.asarray(test.positions, dtype=float)[1:] - test.positions[0]:
         lines += [f"*STEP, NLGEOM, INC={settings.max_increments}", "*CONTROLS, PARAMETERS=FIELD",
                   f"{settings.residual:g}", "*STATIC", f"{settings.first_increment:g}, 1.", "*BOUNDARY",
@@ -161,13 +161,13 @@ def write_deck(test: TargetTest, material: Material, settings: CalculixSettings)
 
 
 def _list_tissue_lines(mesh: SolidMesh) -> list[str]:
-    """Return the nodes, elements and node sets ``BASE`` and ``FACE`` of a mesh."""
+    """Return the nodes, elements and node sets ``BASE``, ``FACE`` and ``SYMMETRY`` of a mesh."""
     element = ELEMENTS[mesh.element.name]
     elements = mesh.connectivity[:, element.nodes]
     used = np.unique(elements)
     lines = ["*NODE", *_list_node_lines(used + 1, mesh.nodes[used]),
              *_list_element_lines(element.name, "TISSUE", 1, elements + 1)]
-    for name in ("base", "face"):
+    for name in ("base", "face", "symmetry"):
         if name in mesh.sets:
             lines += [f"*NSET, NSET={name.upper()}",
                       *_list_number_lines(np.intersect1d(mesh.sets[name], used) + 1)]
