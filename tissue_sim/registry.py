@@ -36,15 +36,17 @@ class Registry(Mapping[str, T], Generic[T]):
         named_by: attribute of an object that is its name.
         is_used_in_tasks: whether tasks in other processes use the objects, and results depend on their source. Objects
             that only present results or distribute tasks stay in this process.
+        aliases: other name -> name. An alias finds the object; lists contain its name only.
     """
 
     def __init__(self, what: str, group: str, built_in: Mapping[str, T | str], *,
                  accepts: Callable[[Any], bool] = lambda _: True, expected: str = "", named_by: str = "name",
-                 is_used_in_tasks: bool = True):
+                 is_used_in_tasks: bool = True, aliases: Mapping[str, str] | None = None):
         self.what, self.group, self._accepts, self._expected = what, group, accepts, expected
         self._named_by, self.is_used_in_tasks = named_by, is_used_in_tasks
         self._things: dict[str, T | str] = dict(built_in)
-        self._built_in = frozenset(built_in)
+        self._aliases = dict(aliases or {})
+        self._built_in = frozenset((*built_in, *self._aliases))
         self._added: dict[str, T] = {}
         _ALL[group] = self
         register_objects_of_other_process((group, name, thing) for name, thing in _WAITING.pop(group, ()))
@@ -61,7 +63,12 @@ class Registry(Mapping[str, T], Generic[T]):
             found[entry.name] = entry
         return found
 
+    def get_name_of_alias(self, name: str) -> str:
+        """Return the name of the object with this name or alias; an unknown name is returned unchanged."""
+        return self._aliases.get(name, name)
+
     def __getitem__(self, name: str) -> T:
+        name = self.get_name_of_alias(name)
         if name in self._things:
             thing = self._things[name]
             if isinstance(thing, str):
@@ -85,13 +92,13 @@ class Registry(Mapping[str, T], Generic[T]):
         return len(set(self._things) | set(self._installed_entry_points))
 
     def __contains__(self, name: object) -> bool:
-        return name in self._things or name in self._installed_entry_points
+        return name in self._aliases or name in self._things or name in self._installed_entry_points
 
     def find(self, name: str, field: str | None = None) -> T:
         """Return the object with a name.
 
         Args:
-            name: name of the object.
+            name: name or alias of the object.
             field: field that contains the name, for the message.
 
         Raises:
@@ -103,8 +110,8 @@ class Registry(Mapping[str, T], Generic[T]):
             'flat'
         """
         if name not in self:
-            raise InputError(f"unknown {self.what} {name!r}{make_hint_with_similar_or_known_words(str(name), self)}",
-                             field=field)
+            hint = make_hint_with_similar_or_known_words(str(name), (*self, *self._aliases))
+            raise InputError(f"unknown {self.what} {name!r}{hint}", field=field)
         return self[name]
 
     def register(self, thing: T, name: str | None = None) -> T:

@@ -333,10 +333,8 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
     if not table.laws:
         raise InputError(f"laws must list at least one law; known laws: {', '.join(LAWS)}", field="fit.laws")
     for i, name in enumerate(table.laws):
-        if name not in LAWS:
-            raise InputError(f"unknown law {name!r}{make_hint_with_similar_or_known_words(name, LAWS)}",
-                             field=f"fit.laws[{i}]")
-        if name in table.laws[:i]:
+        law = LAWS.find(name, f"fit.laws[{i}]")
+        if any(law is LAWS[other] for other in table.laws[:i]):
             raise InputError(f"{name} is listed twice", field=f"fit.laws[{i}]")
     for key in ("bulk_ratio", "offset_bounds_mm", "offset_prior_mm", "zero_bounds_N", "zero_prior_N"):
         require_positive_if_stated(getattr(table, key), f"fit.{key}")
@@ -372,7 +370,8 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
     zero_prior = next((float(value) for value in (table.zero_prior_N, noise.zero_jitter_N)
                        if isinstance(value, float | int) and value > 0), None)
     return FitSettings(
-        laws=tuple(table.laws), bulk=Bulk() if table.bulk_ratio is None else Bulk("bulk_ratio", table.bulk_ratio),
+        laws=tuple(map(LAWS.get_name_of_alias, table.laws)),
+        bulk=Bulk() if table.bulk_ratio is None else Bulk("bulk_ratio", table.bulk_ratio),
         offset=table.offset, offset_prior=offset_prior or OFFSET_DEFAULTS.contact_prior, offset_usual=usual,
         offset_bound=OFFSET_DEFAULTS.contact_bound if table.offset_bounds_mm is None else table.offset_bounds_mm * 1e-3,
         zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points, method=table.method,

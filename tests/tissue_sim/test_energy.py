@@ -16,6 +16,13 @@ CASES = {
     "ogden_1": ([3225.9, 14.8], lambda l, p: 2 * p[0] / p[1]**2 * ((l**p[1]).sum() - 3)),
     "ogden_2": ([1000.0, 3.0, 500.0, -2.0],
                 lambda l, p: sum(2 * m / a**2 * ((l**a).sum() - 3) for m, a in zip(p[::2], p[1::2], strict=True))),
+    "ogden_4": ([1000.0, 3.0, 500.0, -2.0, 200.0, 1.0, 50.0, 5.0],
+                lambda l, p: sum(2 * m / a**2 * ((l**a).sum() - 3) for m, a in zip(p[::2], p[1::2], strict=True))),
+    "gent": ([1000.0, 40.0], lambda l, p: -p[0] * p[1] / 2 * np.log(1 - ((l**2).sum() - 3) / p[1])),
+    "fung_demiray": ([1000.0, 0.4], lambda l, p: p[0] / (2 * p[1]) * np.expm1(p[1] * ((l**2).sum() - 3))),
+    "arruda_boyce": ([1000.0, 1.6], lambda l, p: p[0] * sum(
+        c * ((l**2).sum()**i - 3**i) / p[1]**(2 * i - 2)
+        for i, c in enumerate((1 / 2, 1 / 20, 11 / 1050, 19 / 7000, 519 / 673750), start=1))),
 }
 every_law = pytest.mark.parametrize("name", CASES)
 PRESSURE = 700.0
@@ -37,7 +44,7 @@ def point():
             for _ in range(passes):
                 gradient = [F[i] for i in ti.static(range(5))]
                 root = ti.pow((F[0] * F[3] - F[1] * F[2]) * F[4], -1.0 / 3.0)
-                _density, isochoric, rate = function(gradient, root, coefficients)
+                _density, isochoric, rate, _margin = function(gradient, root, coefficients)
                 stress, tangent = add_pressure_terms(gradient, p, isochoric, rate)
                 for i in ti.static(range(5)):
                     P[i] = stress[i]

@@ -18,6 +18,10 @@ PARAMETERS = {
     "ogden_1": [2729.0, -0.57],
     "ogden_2": [2000.0, 3.0, 800.0, -2.0],
     "ogden_3": [1500.0, 1.3, 20.0, 5.0, -10.0, -2.0],
+    "ogden_4": [1500.0, 1.3, 20.0, 5.0, -10.0, -2.0, 300.0, -0.7],
+    "gent": [2800.0, 140.0],
+    "arruda_boyce": [2800.0, 1.6],
+    "fung_demiray": [2800.0, 0.6],
 }
 STRETCHES = np.array([0.4, 0.7, 0.86, 0.99, 1.0, 1.01, 1.3, 2.5])
 
@@ -164,6 +168,10 @@ class TestParameters:
     def test_unknown_law_names_the_nearest(self):
         with pytest.raises(ts.InputError, match="did you mean 'neo_hooke'"):
             ts.find_law("neo_hook")
+
+    def test_an_alias_is_replaced_by_the_name(self):
+        assert ts.find_law("yeoh") is ts.find_law("reduced_polynomial_3") and "yeoh" not in set(ts.LAWS)
+        assert ts.Material("yeoh", PARAMETERS["reduced_polynomial_3"]).law == "reduced_polynomial_3"
 
     @pytest.mark.parametrize(("values", "words"), [
         ({"C10": 1.0}, "C20 is missing"), ({"C10": 1.0, "C20": 2.0, "C3": 1.0}, "no parameter 'C3'"),

@@ -48,6 +48,17 @@ def test_a_taken_name_is_refused_and_the_same_thing_is_not():
         table.unregister("first")
 
 
+def test_an_alias_finds_the_object_and_is_in_no_list():
+    table = Registry("thing", "tests.alias", {"first": 1}, aliases={"one": "first"})
+    assert "one" in table and table["one"] is table.find("one") is table["first"]
+    assert list(table) == ["first"] and len(table) == 1 and dict(table) == {"first": 1}
+    assert table.get_name_of_alias("one") == table.get_name_of_alias("first") == "first"
+    with pytest.raises(InputError, match="'one' is taken by another thing"):
+        table.register(2, "one")
+    with pytest.raises(InputError, match="'one' cannot be removed"):
+        table.unregister("one")
+
+
 def test_what_another_process_has_is_taken_over_once():
     table = Registry("thing", "tests.over", {"first": 1})
     register_objects_of_other_process([("tests.over", "first", 2), ("tests.over", "second", 3),

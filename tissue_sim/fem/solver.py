@@ -155,7 +155,7 @@ class StepStatus(IntEnum):
         """Cause of the status in one phrase, for messages and recordings."""
         return {
             StepStatus.CONVERGED: "converged",
-            StepStatus.INVERTED: "an element turned inside out",
+            StepStatus.INVERTED: "an element turned inside out or left the domain of the law",
             StepStatus.INDEFINITE: "the tangent lost positive definiteness, so the equilibrium is no longer stable",
             StepStatus.SLOW: "Newton's iteration did not reach its tolerance",
             StepStatus.DIVERGED: "Newton's iteration diverged",

@@ -4,7 +4,10 @@ To add a law, write its class in a file of this folder and add one line to `LAWS
 a law by an entry point of the group ``tissue_sim.laws``, a program by `register_law`.
 """
 
-from tissue_sim.laws.law import InvariantLaw, KernelEnergy, Law, StretchLaw
+from tissue_sim.laws.arruda_boyce import ArrudaBoyce
+from tissue_sim.laws.fung_demiray import FungDemiray
+from tissue_sim.laws.gent import Gent
+from tissue_sim.laws.law import InvariantLaw, KernelEnergy, Law, ParameterRange, StretchLaw
 from tissue_sim.laws.ogden import Ogden
 from tissue_sim.laws.polynomials import Biderman, MooneyRivlin, NeoHooke, ReducedPolynomial
 from tissue_sim.laws.stability import StabilityRange, find_stability_range
@@ -15,14 +18,17 @@ __getattr__ = make_getattr_for_old_names(__name__, {"Stability": "StabilityRange
                                                     "register": "register_law",
                                                     "check_stability": "find_stability_range"})
 
-#: Name -> law.
+#: Name -> law; an alias finds a law by another name.
 LAWS: Registry[Law] = Registry("law", "tissue_sim.laws", {law.name: law for law in (
     NeoHooke(),
     MooneyRivlin(),
     ReducedPolynomial(1), ReducedPolynomial(2), ReducedPolynomial(3),
     Biderman(),
-    Ogden(1), Ogden(2), Ogden(3),
-)}, accepts=lambda law: isinstance(law, Law), expected="an object of a class derived from InvariantLaw or StretchLaw")
+    Gent(),
+    ArrudaBoyce(),
+    FungDemiray(),
+    Ogden(1), Ogden(2), Ogden(3), Ogden(4),
+)}, aliases={"yeoh": "reduced_polynomial_3"}, accepts=lambda law: isinstance(law, Law), expected="an object of a class derived from InvariantLaw or StretchLaw")
 
 
 def register_law(law: Law) -> Law:
@@ -35,7 +41,7 @@ def register_law(law: Law) -> Law:
 
 
 def find_law(name: str) -> Law:
-    """Return the law with a name.
+    """Return the law with a name or an alias.
 
     Raises:
         InputError: no law has the name; the message names the nearest.
@@ -52,6 +58,7 @@ __all__ = [
     "InvariantLaw",
     "KernelEnergy",
     "Law",
+    "ParameterRange",
     "StabilityRange",
     "StretchLaw",
     "find_law",

@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.laws.derivation import load_or_derive_function, load_or_format_text
+from tissue_sim.laws.domain import list_domain_conditions
 from tissue_sim.public_names import LazyModule, rename_old_members_of_subclass, with_old_names
 
 if TYPE_CHECKING:
@@ -48,6 +50,12 @@ class KernelEnergy:
     def coefficient_count(self) -> int:
         """Number of coefficients of the energy."""
         return len(self.coefficients)
+
+    @cached_property
+    def domain_conditions(self) -> tuple[sp.Expr, ...]:
+        """Expressions that are positive inside the domain of the energy; see `list_domain_conditions`."""
+        rest = 3 if self.family == "invariants" else 1
+        return list_domain_conditions(self.energy, dict.fromkeys(self.variables, rest), includes_overflow=True)
 
     @property
     def cache_key(self) -> tuple | None:
@@ -95,12 +103,31 @@ class _PolynomialKernelEnergy(KernelEnergy):
         return len(POWERS)
 
     @property
+    def domain_conditions(self) -> tuple[sp.Expr, ...]:
+        return ()
+
+    @property
     def cache_key(self) -> tuple | None:
         return (self.key,)
 
 
 #: Energy of the kernel that polynomial laws share.
 POLYNOMIAL_KERNEL_ENERGY = _PolynomialKernelEnergy()
+
+
+@dataclass(frozen=True)
+class ParameterRange:
+    """Range of a dimensionless parameter in a fit.
+
+    Attributes:
+        low: lower bound, 1.
+        high: upper bound, 1.
+        starts: values from which fits start, 1.
+    """
+
+    low: float
+    high: float
+    starts: tuple[float, ...]
 
 
 #: Homogeneous incompressible deformations: mode -> (principal stretches as a function of the stretch, number of loaded
@@ -126,11 +153,19 @@ class Law:
 
     A subclass defines `name`, `title`, `units` (parameter -> unit) and its energy; see `InvariantLaw` and `StretchLaw`.
     Parameters are a mapping name -> value in SI, or an array in the order of `parameters`.
+
+    The domain of a law is the set of deformations at which its formula is defined; it follows from the formula (see
+    `list_domain_conditions`). Outside the domain stresses are NaN, and a step of the finite elements is shortened.
+
+    Attributes:
+        parameter_bounds: name -> smallest and largest value of a parameter, SI; parameters without an entry may have
+            any value.
     """
 
     name: str
     title: str
     units: Mapping[str, str]
+    parameter_bounds: Mapping[str, tuple[float, float]] = MappingProxyType({})
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
@@ -149,6 +184,18 @@ class Law:
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
         """Return W, Pa, as an expression of three principal stretches with l1 l2 l3 = 1 (symbols or numbers)."""
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
+
+    def list_domain_conditions_of_stretches(self, l1, l2, l3) -> list[sp.Expr]:
+        """Return expressions of three principal stretches that are positive inside the domain; none: no limit."""
+        raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
+
+    def compute_fit_ranges(self, largest_strain: float) -> Mapping[str, ParameterRange]:
+        """Return name -> range of dimensionless parameters in a fit; the others have exponents as starts.
+
+        Args:
+            largest_strain: largest I1 - 3 of the data.
+        """
+        return {}
 
     @property
     def cache_key(self) -> tuple | None:
@@ -197,6 +244,10 @@ class Law:
         for name, value in zip(self.parameters, array, strict=True):
             if not np.isfinite(value):
                 raise InputError(f"{name} is {value}, expected a finite number", field=f"parameters.{name}")
+            low, high = self.parameter_bounds.get(name, (-np.inf, np.inf))
+            if not low <= value <= high:
+                raise InputError(f"{name} must be within [{low:g}, {high:g}]; got {value:g}",
+                                 field=f"parameters.{name}")
         return array
 
     def describe_limiting_cases(self, values) -> list[str]:
@@ -210,8 +261,8 @@ class Law:
     def _evaluate_stress_slope_and_derivatives(self, mode, stretch, values) -> list[np.ndarray]:
         """Return [nominal stress, its slope, its derivative by each parameter], each with the shape of `stretch`."""
         stretch = np.asarray(stretch, dtype=float)
-        results = _compile_mode_stress_function(self, mode)(stretch, *self.convert_parameters_to_array(values))
-        return [np.broadcast_to(np.asarray(item, dtype=float), stretch.shape) for item in results]
+        return _evaluate_inside_domain(_compile_mode_stress_function(self, mode), 2 + len(self.parameters),
+                                       stretch.shape, stretch, *self.convert_parameters_to_array(values))
 
     def nominal_stress(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
         """First Piola-Kirchhoff stress of an incompressible solid, Pa, negative in compression.
@@ -220,6 +271,9 @@ class Law:
             stretch: any shape; the shear strain gamma for ``mode="simple_shear"``.
             values: parameters, SI.
             mode: ``uniaxial`` (equations 4 to 7 of the reference study), ``planar``, ``equibiaxial``, ``simple_shear``.
+
+        Returns:
+            Stress, Pa, shape of `stretch`; NaN or infinite outside the domain of the law.
 
         Source: P = dW/dlambda along the mode (Holzapfel, Nonlinear Solid Mechanics, 2000, section 6.5).
 
@@ -247,16 +301,18 @@ class Law:
             values: parameters, SI.
 
         Returns:
-            W in J/m3, shape (...), and the deviatoric principal Kirchhoff stresses in Pa, shape (..., 3).
+            W in J/m3, shape (...), and the deviatoric principal Kirchhoff stresses in Pa, shape (..., 3); NaN or
+            infinite outside the domain of the law.
 
         Source: Holzapfel, Nonlinear Solid Mechanics, 2000, section 6.4.
         """
         stretches = np.asarray(stretches, dtype=float)
         bar = stretches * np.prod(stretches, axis=-1, keepdims=True) ** (-1.0 / 3.0)
-        energy, *slopes = _compile_energy_and_log_stretch_slopes(self)(*np.moveaxis(bar, -1, 0),
-                                                                       *self.convert_parameters_to_array(values))
-        tau = np.stack([np.broadcast_to(slope, bar.shape[:-1]) for slope in slopes], axis=-1)
-        return np.broadcast_to(energy, bar.shape[:-1]).copy(), tau - tau.mean(axis=-1, keepdims=True)
+        energy, *slopes = _evaluate_inside_domain(
+            _compile_energy_and_log_stretch_slopes(self), 4, bar.shape[:-1], *np.moveaxis(bar, -1, 0),
+            *self.convert_parameters_to_array(values))
+        tau = np.stack(slopes, axis=-1)
+        return np.array(energy), tau - tau.mean(axis=-1, keepdims=True)
 
     def mu0(self, values) -> float:
         """Initial shear modulus, Pa: slope of the shear stress at rest."""
@@ -292,14 +348,34 @@ class Law:
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
 
+def _evaluate_inside_domain(function, count: int, shape: tuple[int, ...], *arguments) -> list[np.ndarray]:
+    """Return the first `count` results of a compiled function, NaN where one of the other results is not positive.
+
+    The other results are the conditions of the domain. Overflow gives infinite or undefined numbers without a warning.
+
+    Returns:
+        Results, each with the shape `shape`.
+    """
+    with np.errstate(all="ignore"):
+        results = function(*arguments)
+        found = [np.broadcast_to(np.asarray(item, dtype=float), shape) for item in results[:count]]
+        if len(results) > count:
+            inside = np.all([np.broadcast_to(condition > 0, shape) for condition in results[count:]], axis=0)
+            found = [np.where(inside, item, np.nan) for item in found]
+    return found
+
+
 @lru_cache
 def _compile_mode_stress_function(law: Law, mode: str):
-    """Return one compiled function: stretch, parameters -> [nominal stress, slope, parameter derivatives]."""
+    """Return one compiled function: stretch, parameters -> [stress, slope, parameter derivatives, conditions]."""
     return law.compile_cached_function(mode, lambda: _derive_mode_stress_and_derivatives(law, mode))
 
 
 def _derive_mode_stress_and_derivatives(law: Law, mode: str):
-    """Return symbols (stretch, *parameters), and expressions [nominal stress, slope, *parameter derivatives]."""
+    """Return symbols (stretch, *parameters), and expressions [nominal stress, slope, *parameter derivatives, *domain].
+
+    The conditions of the domain are those of `Law.list_domain_conditions_of_stretches`.
+    """
     if mode == "simple_shear":
         # Principal stretches of simple shear gamma: l and 1/l with l - 1/l = gamma.
         s = sp.Symbol("gamma", real=True)
@@ -311,21 +387,26 @@ def _derive_mode_stress_and_derivatives(law: Law, mode: str):
         stretches = path(s)
     stress = sp.diff(law.energy_of_stretches(*stretches, law.symbols), s) / directions
     derivatives = [sp.diff(stress, variable) for variable in (s, *law.symbols)]
-    return (s, *law.symbols), [stress, *derivatives]
+    return (s, *law.symbols), [stress, *derivatives, *law.list_domain_conditions_of_stretches(*stretches)]
 
 
 @lru_cache
 def _compile_energy_and_log_stretch_slopes(law: Law):
-    """Return one compiled function: three stretches, parameters -> [energy, its three derivatives by ln(stretch)]."""
+    """Return one compiled function: three stretches, parameters -> [energy, derivatives by ln(stretch), conditions]."""
     return law.compile_cached_function("principal", lambda: _derive_energy_and_log_stretch_slopes(law))
 
 
 def _derive_energy_and_log_stretch_slopes(law: Law):
-    """Return symbols (*stretches, *parameters), and expressions [energy, *derivatives by ln(stretch)]."""
+    """Return symbols (*stretches, *parameters), and expressions [energy, *derivatives by ln(stretch), *domain]."""
     l1, l2, l3 = stretches = sp.symbols("l1:4", positive=True)
     energy = law.energy_of_stretches(l1, l2, l3, law.symbols)
     slopes = [s * sp.diff(energy, s) for s in stretches]
-    return (*stretches, *law.symbols), [energy, *slopes]
+    return (*stretches, *law.symbols), [energy, *slopes, *law.list_domain_conditions_of_stretches(l1, l2, l3)]
+
+
+def _compute_invariants(l1, l2, l3) -> tuple:
+    """Return I1 and I2 of three principal stretches whose product is 1."""
+    return l1**2 + l2**2 + l3**2, l1**-2 + l2**-2 + l3**-2
 
 
 class InvariantLaw(Law):
@@ -341,9 +422,14 @@ class InvariantLaw(Law):
 
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
         """Return W as an expression of the isochoric principal stretches; see `Law.energy_of_stretches`."""
-        I1 = l1**2 + l2**2 + l3**2
-        I2 = l1**-2 + l2**-2 + l3**-2
-        return sp.sympify(self.energy(I1, I2, *parameters))
+        return sp.sympify(self.energy(*_compute_invariants(l1, l2, l3), *parameters))
+
+    def list_domain_conditions_of_stretches(self, l1, l2, l3) -> list[sp.Expr]:
+        """Return the conditions of I1 and I2, as expressions of the stretches; see `Law`."""
+        symbols = make_invariant_symbols()
+        values = dict(zip(symbols, _compute_invariants(l1, l2, l3), strict=True))
+        conditions = list_domain_conditions(self.formula_expression(), dict.fromkeys(symbols, 3))
+        return [condition.subs(values) for condition in conditions]
 
     def formula_expression(self) -> sp.Expr:
         """Return the symbolic energy W of I1, I2 and the parameters."""
@@ -389,6 +475,12 @@ class StretchLaw(Law):
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
         """Return W as the sum of w over the isochoric principal stretches."""
         return sp.Add(*(sp.sympify(self.energy_of_stretch(s, *parameters)) for s in (l1, l2, l3)))
+
+    def list_domain_conditions_of_stretches(self, l1, l2, l3) -> list[sp.Expr]:
+        """Return the conditions of w at each of the stretches; see `Law`."""
+        stretch = sp.Symbol("lambda", positive=True)
+        conditions = list_domain_conditions(self.formula_expression(), {stretch: 1})
+        return [condition.subs(stretch, s) for condition in conditions for s in (l1, l2, l3)]
 
     def formula_expression(self) -> sp.Expr:
         """Symbolic energy w of one stretch."""

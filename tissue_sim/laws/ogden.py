@@ -1,14 +1,14 @@
 """Ogden's law: powers of the principal stretches (Ogden 1972), in the convention of the Abaqus manual."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from tissue_sim.laws.law import KernelEnergy, StretchLaw
 
-#: Largest number of terms.
-MAX_TERMS = 3
+#: Largest number of terms in the kernel that the laws of fewer terms share; each larger number has its own kernel.
+SHARED_TERMS = 3
 
 
 @dataclass(frozen=True)
@@ -63,12 +63,14 @@ class Ogden(StretchLaw):
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
-        """Energy of the highest order; all orders use its kernel, with mu = 0 in absent terms."""
-        own = super().kernel_energy if self.terms == MAX_TERMS else Ogden(MAX_TERMS).kernel_energy
-        return KernelEnergy("ogden", own.family, own.variables, own.coefficients, own.energy)
+        """Energy of the kernel; up to `SHARED_TERMS` terms use one kernel, with mu = 0 in absent terms."""
+        if self.terms < SHARED_TERMS:
+            return Ogden(SHARED_TERMS).kernel_energy
+        own = super().kernel_energy
+        return own if self.terms > SHARED_TERMS else replace(own, key="ogden")
 
     def kernel_coefficients(self, values) -> np.ndarray:
-        """Return mu_i and alpha_i of `MAX_TERMS` terms, with mu_i = 0 in absent terms."""
-        coefficients = np.tile([0.0, 2.0], MAX_TERMS)
+        """Return mu_i and alpha_i of the terms of the kernel, with mu_i = 0 in absent terms."""
+        coefficients = np.tile([0.0, 2.0], max(self.terms, SHARED_TERMS))
         coefficients[: 2 * self.terms] = self.convert_parameters_to_array(values)
         return coefficients

@@ -64,31 +64,33 @@ class StabilityRange:
 
 @lru_cache
 def _compile_log_strain_hessian_entries(law: Law):
-    """Return one compiled function: three stretches' logarithmic strains, parameters -> six entries of the Hessian.
+    """Return one compiled function: logarithmic strains of three stretches, parameters -> Hessian, conditions.
 
-    The entries d2W/(de_i de_j) are in the order 11, 22, 33, 12, 13, 23.
+    The six entries d2W/(de_i de_j) are in the order 11, 22, 33, 12, 13, 23. The conditions of the domain follow.
     """
     return law.compile_cached_function("hessian", lambda: _derive_log_strain_hessian_entries(law))
 
 
 def _derive_log_strain_hessian_entries(law: Law):
-    """Return the arguments and the six Hessian entries as symbols; see `_compile_log_strain_hessian_entries`."""
+    """Return the arguments, and the six Hessian entries and the conditions of the domain as expressions."""
     import sympy as sp
 
     e = sp.symbols("e1:4", real=True)
     l1, l2, l3 = (sp.exp(strain) for strain in e)
     energy = law.energy_of_stretches(l1, l2, l3, law.symbols)
     entries = [sp.diff(energy, e[i], e[k]) for i, k in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
-    return (*e, *law.symbols), entries
+    return (*e, *law.symbols), [*entries, *law.list_domain_conditions_of_stretches(l1, l2, l3)]
 
 
 def _is_stable_at_log_strains(law: Law, values: np.ndarray, strains: np.ndarray) -> np.ndarray:
     """Return whether d(tau) : d(e) > 0 for every volume-preserving d(e), shape (n,), at strains of shape (n, 3).
 
-    The strains are logarithmic. A number that overflows counts as stable.
+    The strains are logarithmic. A number that overflows counts as stable, a strain outside the domain as unstable.
     """
     with np.errstate(all="ignore"):
-        entries = _compile_log_strain_hessian_entries(law)(*strains.T, *values)
+        results = _compile_log_strain_hessian_entries(law)(*strains.T, *values)
+        entries = results[:6]
+        is_inside = np.all([np.broadcast_to(condition > 0, len(strains)) for condition in results[6:]], axis=0)
         h = np.empty((3, 3, len(strains)))
         for (i, k), entry in zip(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), entries, strict=True):
             h[i, k] = h[k, i] = entry
@@ -104,7 +106,7 @@ def _is_stable_at_log_strains(law: Law, values: np.ndarray, strains: np.ndarray)
         best = np.abs(b).argmin(axis=0), np.arange(len(strains))
         a, b, c = a[best], b[best], c[best]
         # An overflow is no evidence of instability.
-        return ~np.isfinite(a * c) | ((a + c > 0) & (a * c - b * b > 0))
+        return is_inside & (~np.isfinite(a * c) | ((a + c > 0) & (a * c - b * b > 0)))
 
 
 def find_stability_range(law: Law, values, stretch_range: tuple[float, float] = STRETCH_RANGE,
@@ -114,7 +116,7 @@ def find_stability_range(law: Law, values, stretch_range: tuple[float, float] = 
     With the Kirchhoff stress tau and the logarithmic strain e, the 2 x 2 matrix d(tau)/d(e) of an incompressible solid
     is the Hessian of W in two of the logarithmic strains; the third is minus their sum. The matrix must be positive
     definite. It is checked from stretch 1 outwards in tension and compression of each mode, and the first loss is
-    located by bisection.
+    located by bisection. A law is not stable outside its domain, such as at I1 - 3 >= J_m of Gent's law.
 
     Source: Abaqus Analysis User's Guide, "Hyperelastic behavior of rubberlike materials", Drucker stability.
 

@@ -62,7 +62,7 @@ _BULK = {
 }
 #: Longest relaxation times after which tissue without a tool has forgotten its path, 1: 0.7 % of the stress remains.
 MEMORY_TIMES = 5.0
-#: Largest absolute value, in a fit, of an exponent or another parameter of a law without unit.
+#: Largest absolute value, in a fit, of an exponent or another parameter without unit for which the law has no bounds.
 EXPONENT_BOUND = 50.0
 
 
@@ -131,7 +131,7 @@ class Material:
     """Strain-energy law with its parameters, bulk response, and effects of time, loading and depth.
 
     Attributes:
-        law: name in `tissue_sim.laws.LAWS`.
+        law: name in `tissue_sim.laws.LAWS`; an alias is replaced by the name.
         parameters: name -> value, SI (Pa, or 1 for exponents); read-only after construction.
         bulk: volumetric response; it neither relaxes nor softens.
         density: kg/m3; None if unknown.
@@ -171,6 +171,7 @@ class Material:
     reduced_effects = OldName("list_acting_force_scaling_effects")
 
     def __post_init__(self):
+        object.__setattr__(self, "law", LAWS.get_name_of_alias(self.law))
         object.__setattr__(self, "regions", make_shallow_read_only_copy(dict(self.regions)))
         for name, own in self.regions.items():
             if not name or set(name) & set(".[]"):
@@ -319,7 +320,7 @@ def get_law_parameter_declaration(law: Law, name: str) -> Declaration:
     """Return the declaration (symbol, unit, bounds) of a parameter of a law."""
     unit = law.units[name]
     reach = EXPONENT_BOUND if unit == "1" else np.inf
-    return Declaration(name, unit, (-reach, reach), key=name)
+    return Declaration(name, unit, law.parameter_bounds.get(name, (-reach, reach)), key=name)
 
 
 def _index_effects_by_name(effects: Mapping[str, TissueEffect] | Iterable[TissueEffect]) -> dict[str, TissueEffect]:

@@ -189,6 +189,7 @@ def make_element_assembly_functions(element_name: str, energy: KernelEnergy,
     inverse_cube_root = make_inverse_cube_root_function()
     add_pressure_terms = point.make_pressure_term_function()
     apply_history = make_history_function(5, 4, point.make_relaxation_function)
+    is_limited = bool(energy.domain_conditions)
     has_effects, add_effect_stresses = bool(effects), make_effect_stress_function(effects)
     variables = sum(len(formula.kind.rest) for formula in effects)
     UR, UZ, FR, FZ, SR, SZ = (AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ"))
@@ -202,9 +203,9 @@ def make_element_assembly_functions(element_name: str, energy: KernelEnergy,
     @ti.func
     def store_weighted_stress_and_tangent(b, q, F, J, p, remembers, tangents: ti.template(), elements: ti.template(),
                                           tissue: ti.template()):
-        """Store stress, tangent and dJ/dF of quadrature point q, each times the weight of the point."""
+        """Store stress, tangent and dJ/dF of point q, each times its weight; return the margin of the law's domain."""
         root = inverse_cube_root(ti.max(J, 1e-6))
-        W, P, A = (with_tangent if ti.static(tangents) else without)(F, root, tissue.coefficients)
+        W, P, A, margin = (with_tangent if ti.static(tangents) else without)(F, root, tissue.coefficients)
         if ti.static(tangents):
             if remembers == 1:
                 apply_history(b, q, [F], W, P, A, elements, tissue)
@@ -234,11 +235,14 @@ def make_element_assembly_functions(element_name: str, energy: KernelEnergy,
         s[COFACTOR + 5 * q], s[COFACTOR + 5 * q + 1] = wc * F[3], -wc * F[2]
         s[COFACTOR + 5 * q + 2], s[COFACTOR + 5 * q + 3] = -wc * F[1], wc * F[0]
         s[COFACTOR + 5 * q + 4] = w * (F[0] * F[3] - F[1] * F[2])
+        return margin
 
     @ti.func
     def compute_nodal_forces_and_least_jacobian(b, tangent, kappa, remembers, x: ti.template(), pressures,
                                                 elements: ti.template(), tissue: ti.template()):
-        """Compute the nodal forces of batch b with the pressure increment of the volume residual; return the least J.
+        """Compute the nodal forces of batch b with the pressure increment of the volume residual.
+
+        Return the smallest J, or the smallest margin of the domain of the law if it is smaller.
 
         For tissue with memory (`remembers`), the present stresses and energies are written to `tissue`.
         """
@@ -265,9 +269,15 @@ def make_element_assembly_functions(element_name: str, energy: KernelEnergy,
             F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
             # Tissue with memory always gets a tangent: a variant without it would double the compile time.
             if tangent == 1 or remembers == 1:
-                store_weighted_stress_and_tangent(b, q, F, 1.0 + dilation, p, remembers, True, elements, tissue)
+                margin = store_weighted_stress_and_tangent(b, q, F, 1.0 + dilation, p, remembers, True, elements,
+                                                           tissue)
+                if ti.static(is_limited):
+                    least = ti.min(least, margin)
             else:
-                store_weighted_stress_and_tangent(b, q, F, 1.0 + dilation, p, remembers, False, elements, tissue)
+                margin = store_weighted_stress_and_tangent(b, q, F, 1.0 + dilation, p, remembers, False, elements,
+                                                           tissue)
+                if ti.static(is_limited):
+                    least = ti.min(least, margin)
         for a in range(nodes):
             fr, fz = vec(0.0), vec(0.0)
             vr, vz = [vec(0.0) for _m in ti.static(range(modes))], [vec(0.0) for _m in ti.static(range(modes))]

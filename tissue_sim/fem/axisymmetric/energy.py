@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 from tissue_sim.fem.elements.energy import (
     list_lower_triangle_index_pairs,
+    make_domain_margin_function,
     make_energy_derivatives_by_invariants,
     make_isochoric_chain_rule,
     make_principal_plane_moduli_function,
@@ -196,11 +197,12 @@ def make_relaxation_function():
 
 @cache
 def make_stress_function(energy: KernelEnergy, tangents: bool = True):
-    """Return the Taichi function ``compute_stress_and_tangent(F, root, coefficients) -> (W, P, A)`` of an energy.
+    """Return the Taichi function ``compute_stress_and_tangent(F, root, coefficients) -> (W, P, A, margin)``.
 
     The Taichi function takes the deformation gradient F (5 components, positive determinant), root = J^(-1/3), and the
     array of the energy's coefficients. It returns the isochoric energy density W, the first Piola stress P = dW/dF (5
-    components) and its derivative A (15 components, packed as `PACKED`), in units of the coefficients.
+    components) and its derivative A (15 components, packed as `PACKED`), in units of the coefficients, and a number
+    that is positive inside the domain of the law.
 
     Args:
         energy: energy of a law.
@@ -214,9 +216,9 @@ def make_stress_function(energy: KernelEnergy, tangents: bool = True):
 def _make_stress_function_of_invariants(energy: KernelEnergy, tangents: bool):
     """Return `compute_stress_and_tangent` of an energy that depends on the isochoric invariants."""
     ti = get_initialised_taichi()
-    count = energy.coefficient_count
+    count, values = energy.coefficient_count, 6 + len(energy.domain_conditions)
 
-    derivatives = make_energy_derivatives_by_invariants(energy, tangents)
+    derivatives, compute_margin = make_energy_derivatives_by_invariants(energy, tangents), make_domain_margin_function()
     # In axisymmetry the invariants are functions of a, the sum of squares of the in-plane deformation gradient, j, its
     # determinant, and c, the hoop stretch.
     chain = make_isochoric_chain_rule("a + c**2", "j**2 + a*c**2", "j*c", "a j c", tangents)
@@ -246,7 +248,7 @@ def _make_stress_function_of_invariants(energy: KernelEnergy, tangents: bool):
                 A[ti.static(PLACE[i][i])] += 2.0 * d[0]
                 A[ti.static(PLACE[4][i])] = d[6] * twice[i] + d[7] * cofactor[i]
             A[ti.static(PLACE[4][4])] = d[8]
-        return w[0], P, A
+        return w[0], P, A, compute_margin([w[n] for n in ti.static(range(6, values))], c)
 
     return compute_stress_and_tangent
 
@@ -269,7 +271,7 @@ def _make_stress_function_of_stretches(energy: KernelEnergy, tangents: bool):
         cs, ss = e / q, h / q
         cd, sd = ti.select(turned, f / least, 0.0 * r + 1.0), ti.select(turned, g / least, 0.0 * r)
         s = [q + r, q - r, F[4]]
-        density, w1, w2 = compute_stretch_derivatives(s, root, coefficients)
+        density, w1, w2, margin = compute_stretch_derivatives(s, root, coefficients)
         # Directions of the in-plane stretches, as 4-vectors rR, rZ, zR, zZ.
         n1 = [0.5 * (cs + cd), 0.5 * (sd - ss), 0.5 * (sd + ss), 0.5 * (cs - cd)]
         n2 = [0.5 * (cs - cd), -0.5 * (sd + ss), -0.5 * (sd - ss), 0.5 * (cs + cd)]
@@ -288,7 +290,7 @@ def _make_stress_function_of_stretches(energy: KernelEnergy, tangents: bool):
                         + 0.5 * twist * turn[i] * turn[k] + 0.5 * flip * shear[i] * shear[k])
                 A[ti.static(PLACE[4][i])] = w2[2][0] * n1[i] + w2[2][1] * n2[i]
             A[ti.static(PLACE[4][4])] = w2[2][2]
-        return density, P, A
+        return density, P, A, margin
 
     return compute_stress_and_tangent
 

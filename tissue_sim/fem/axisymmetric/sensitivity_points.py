@@ -117,7 +117,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
             if ti.static(remembers):
                 kept, f = (b * points
                            + q) * StoredPointRecordOffset.SIZE, tissue.past[RelaxationSofteningCoefficient.FACTOR]
-                W, P, A = law_of(F, root, tissue.coefficients)
+                W, P, A, _margin = law_of(F, root, tissue.coefficients)
                 s[at + ScratchRecordOffset.ENERGY] = f * W
                 for i in ti.static(range(5)):
                     s[at + ScratchRecordOffset.STRESS + i] = f * P[i]
@@ -154,7 +154,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                     to2 = kept + StoredPointRecordOffset.SECOND + i
                     rates.law[to2] = S[i]
             elif which[SensitivityControlIndex.LAYERED] + which[SensitivityControlIndex.REFINES] > 0:
-                W, P, A = law_of(F, root, tissue.coefficients)
+                W, P, A, _margin = law_of(F, root, tissue.coefficients)
                 for i in ti.static(range(5)):
                     s[at + ScratchRecordOffset.RELAXED_STRESS + i] = P[i]
                 p = vec(0.0)
@@ -249,7 +249,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
             at, noted = RATE + 5 * q, LAW + ScratchRecordOffset.SIZE * q
             if rates.acts[k] == 1:
                 F = [s[noted + ScratchRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
-                W, P, _A = stress_rate(F, s[noted + ScratchRecordOffset.ROOT], direction)
+                W, P, _A, _margin = stress_rate(F, s[noted + ScratchRecordOffset.ROOT], direction)
                 s[ENERGY_RATE + q] = W
                 for i in ti.static(range(5)):
                     s[at + i] = P[i]

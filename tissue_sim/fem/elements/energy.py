@@ -43,39 +43,62 @@ def make_energy_derivatives_by_invariants(energy: KernelEnergy, tangents: bool =
         tangents: whether second derivatives are needed; they are 0 otherwise.
 
     Returns:
-        Python function of (I1, I2, coefficients) -> W, W1, W2, W11, W12, W22.
+        Python function of (I1, I2, coefficients) -> W, W1, W2, W11, W12, W22, then the conditions of the domain.
     """
     def derive_arguments_and_expressions():
-        """Return the arguments (I1, I2, coefficients) and the expressions of W and its derivatives (sympy)."""
+        """Return the arguments, and the expressions of W, its derivatives and the conditions of the domain (sympy)."""
         W, (I1, I2) = energy.energy, energy.variables
         second = [sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3
-        return (I1, I2, energy.coefficients), [W, sp.diff(W, I1), sp.diff(W, I2), *second]
+        return (I1, I2, energy.coefficients), [W, sp.diff(W, I1), sp.diff(W, I2), *second, *energy.domain_conditions]
 
     return make_taichi_expression_builder(derive_arguments_and_expressions,
                                           _derivation_cache_key_or_none(energy, tangents), __file__)
 
 
 def make_energy_derivatives_by_stretch(energy: KernelEnergy):
-    """Return a function (stretch, coefficients) -> (w', w'', w) of a law W = sum of w over the isochoric stretches."""
+    """Return a function of a law W = sum of w over the isochoric stretches.
+
+    It maps (stretch, coefficients) to w', w'' and w, then the conditions of the domain.
+    """
     def derive_arguments_and_expressions():
-        """Return the arguments (stretch, coefficients) and the expressions w', w'' and w (sympy)."""
+        """Return the arguments, and the expressions w', w'', w and the conditions of the domain (sympy)."""
         W, (stretch,) = energy.energy, energy.variables
-        return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]
+        return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W,
+                                                *energy.domain_conditions]
 
     return make_taichi_expression_builder(derive_arguments_and_expressions, _derivation_cache_key_or_none(energy),
                                           __file__)
 
 
 @cache
-def make_stretch_derivatives_function(energy: KernelEnergy):
-    """Return the Taichi function ``compute_stretch_derivatives(stretches, root, coefficients) -> (W, w1, w2)``.
+def make_domain_margin_function():
+    """Return the Taichi function ``compute_margin(conditions, like)`` of a point, positive inside the domain of a law.
 
-    The energy is a sum over the isochoric principal stretches; root is J^(-1/3). W is the energy density, w1 (3) its
-    derivatives with respect to the principal stretches and w2 (3 x 3) the second derivatives.
+    It returns the smallest of the conditions of the domain; 1 without conditions. `like` has the shape of the result.
     """
     ti = get_initialised_taichi()
-    count = energy.coefficient_count
-    derivatives = make_energy_derivatives_by_stretch(energy)
+
+    @ti.func
+    def compute_margin(conditions: ti.template(), like):
+        margin = 0.0 * like + 1.0
+        for condition in ti.static(conditions):
+            margin = ti.min(margin, condition)
+        return margin
+
+    return compute_margin
+
+
+@cache
+def make_stretch_derivatives_function(energy: KernelEnergy):
+    """Return the Taichi function ``compute_stretch_derivatives(stretches, root, coefficients) -> (W, w1, w2, margin)``.
+
+    The energy is a sum over the isochoric principal stretches; root is J^(-1/3). W is the energy density, w1 (3) its
+    derivatives with respect to the principal stretches and w2 (3 x 3) the second derivatives. The margin is positive
+    inside the domain of the law.
+    """
+    ti = get_initialised_taichi()
+    count, values = energy.coefficient_count, 3 + len(energy.domain_conditions)
+    derivatives, compute_margin = make_energy_derivatives_by_stretch(energy), make_domain_margin_function()
 
     @ti.func
     def compute_stretch_derivatives(stretches: ti.template(), root, coefficients: ti.template()):
@@ -91,7 +114,8 @@ def make_stretch_derivatives_function(energy: KernelEnergy):
         w2 = [[((-(u[i] + u[k]) / 3.0 + mean_u / 3.0
                  + ti.static(float(i == k)) * (u[i] - (t[i] - mean_t))) / (stretches[i] * stretches[k]))
                for k in ti.static(range(3))] for i in ti.static(range(3))]
-        return w[0][2] + w[1][2] + w[2][2], w1, w2
+        margin = compute_margin([w[k][n] for k in ti.static(range(3)) for n in ti.static(range(3, values))], root)
+        return w[0][2] + w[1][2] + w[2][2], w1, w2, margin
 
     return compute_stretch_derivatives
 

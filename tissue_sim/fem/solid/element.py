@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 from tissue_sim.fem.elements.energy import (
     list_lower_triangle_index_pairs,
+    make_domain_margin_function,
     make_energy_derivatives_by_invariants,
     make_inverse_cube_root_function,
     make_isochoric_chain_rule,
@@ -107,7 +108,7 @@ def make_relaxation_function():
 def make_stress_function(energy: KernelEnergy):
     """Return the Taichi function of stress and tangent of a strain energy.
 
-    Its signature is ``compute_stress_and_tangent(F, J, root, coefficients, tangent) -> (W, P, A)``.
+    Its signature is ``compute_stress_and_tangent(F, J, root, coefficients, tangent) -> (W, P, A, margin)``.
 
     Args of the Taichi function:
         F: deformation gradient, 9 components; its determinant J must be positive.
@@ -117,7 +118,7 @@ def make_stress_function(energy: KernelEnergy):
 
     Returns of the Taichi function:
         W: isochoric energy density; P (9): first Piola-Kirchhoff stress; A (45): tangent dP/dF, symmetric, packed as
-        `PACKED`.
+        `PACKED`; margin: positive inside the domain of the law.
     """
     return (_make_stress_function_by_invariants if energy.family == "invariants"
             else _make_stress_function_by_stretches)(energy)
@@ -126,15 +127,15 @@ def make_stress_function(energy: KernelEnergy):
 def _make_stress_function_by_invariants(energy: KernelEnergy):
     """Return the function of `make_stress_function` for an energy of the invariants I1 and I2."""
     ti = get_initialised_taichi()
-    count = energy.coefficient_count
+    count, values = energy.coefficient_count, 6 + len(energy.domain_conditions)
 
-    derivatives = make_energy_derivatives_by_invariants(energy)
+    derivatives, compute_margin = make_energy_derivatives_by_invariants(energy), make_domain_margin_function()
     chain = make_isochoric_chain_rule("I1", "I2", "J", "I1 I2 J")
     compute_cofactor = make_cofactor_function()
 
     @ti.func
     def compute_stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
-        """Return energy density W, stress P and tangent A; see `make_stress_function`."""
+        """Return energy density W, stress P, tangent A and margin; see `make_stress_function`."""
         scale = root * root
         # F^T F and F F^T.
         right = [[F[i] * F[k] + F[3 + i] * F[3 + k] + F[6 + i] * F[6 + k] for k in ti.static(range(3))]
@@ -173,7 +174,7 @@ def _make_stress_function_by_invariants(energy: KernelEnergy):
                 a += ti.static(COFACTOR[m, n][1] if (m, n) in COFACTOR else 0.0) * d[2] * F[
                     ti.static(COFACTOR[m, n][0] if (m, n) in COFACTOR else 0)]
             A[ti.static(PLACE[m][n])] = a
-        return w[0], P, A
+        return w[0], P, A, compute_margin([w[n] for n in ti.static(range(6, values))], J)
 
     return compute_stress_and_tangent
 
@@ -186,7 +187,7 @@ def _make_stress_function_by_stretches(energy: KernelEnergy):
 
     @ti.func
     def compute_stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
-        """Return energy density W, stress P and tangent A; see `make_stress_function`."""
+        """Return energy density W, stress P, tangent A and margin; see `make_stress_function`."""
         # Jacobi rotations diagonalise F^T F; V contains its directions, and F V has orthogonal columns.
         zero = 0.0 * J
         C = [[F[i] * F[k] + F[3 + i] * F[3 + k] + F[6 + i] * F[6 + k] for k in ti.static(range(3))]
@@ -220,7 +221,7 @@ def _make_stress_function_by_stretches(energy: KernelEnergy):
         for i in ti.static(range(3)):
             for k in ti.static(range(3)):
                 U[i][k] = U[i][k] / stretch[k]
-        density, w1, w2 = compute_stretch_derivatives(stretch, root, coefficients)
+        density, w1, w2, margin = compute_stretch_derivatives(stretch, root, coefficients)
         # Dyads of spatial and material principal directions.
         N = [[U[ti.static(m // 3)][k] * V[ti.static(m % 3)][k] for m in ti.static(range(9))]
              for k in ti.static(range(3))]
@@ -241,7 +242,7 @@ def _make_stress_function_by_stretches(energy: KernelEnergy):
             across = [cross * one[m] + same * other[m] for m in ti.static(range(9))]
             for m, n in ti.static(PACKED):
                 A[ti.static(PLACE[m][n])] += along[m] * one[n] + across[m] * other[n]
-        return density, P, A
+        return density, P, A, margin
 
     return compute_stress_and_tangent
 
@@ -302,7 +303,7 @@ def make_element_kernel_functions(element_name: str, energy: KernelEnergy) -> El
     compute_stress_and_tangent = make_stress_function(energy)
     inverse_cube_root, compute_cofactor = make_inverse_cube_root_function(), make_cofactor_function()
     apply_history = make_history_function(9, 6, make_relaxation_function)
-    vec = ti.types.vector(LANES, ti.f64)
+    vec, is_limited = ti.types.vector(LANES, ti.f64), bool(energy.domain_conditions)
     U, FORCE, PRESSURE, GAP = (_AT[name] for name in ("U", "FORCE", "PRESSURE", "GAP"))
     V, A, RATE, PAIRS = (_AT[name] for name in ("V", "A", "RATE", "PAIRS"))
 
@@ -312,9 +313,10 @@ def make_element_kernel_functions(element_name: str, energy: KernelEnergy) -> El
     @ti.func
     def get_weighted_stress_and_store_tangent(b, q, tangent: ti.template(), remembers, H, J, p, elements: ti.template(),
                                               material: ti.template()):
-        """Return dW/dF and dJ/dF of quadrature point q times its weight, and store its tangent in the scratch field."""
+        """Return dW/dF and dJ/dF of point q times its weight, and the margin of the domain; store the tangent."""
         F = [H[m] + ti.static(float(m % 4 == 0)) for m in ti.static(range(9))]
-        W, P, T = compute_stress_and_tangent(F, J, inverse_cube_root(ti.max(J, 1e-6)), material.coefficients, tangent)
+        W, P, T, margin = compute_stress_and_tangent(F, J, inverse_cube_root(ti.max(J, 1e-6)), material.coefficients,
+                                                     tangent)
         cof = compute_cofactor(F)
         if remembers > 0.0:
             apply_history(b, q, [F, cof, J], W, P, T, elements, material)
@@ -326,14 +328,15 @@ def make_element_kernel_functions(element_name: str, energy: KernelEnergy) -> El
             for m, n in ti.static(tuple(COFACTOR)):
                 at = A + 45 * q + ti.static(PLACE[m][n])
                 s[at] = s[at] + ti.static(COFACTOR[m, n][1]) * wp * F[ti.static(COFACTOR[m, n][0])]
-        return [wm * P[m] + wp * cof[m] for m in ti.static(range(9))], [w * cof[m] for m in ti.static(range(9))]
+        return ([wm * P[m] + wp * cof[m] for m in ti.static(range(9))], [w * cof[m] for m in ti.static(range(9))],
+                margin)
 
     @ti.func
     def integrate_forces(b, kappa, tangent, remembers, x: ti.template(), elements: ti.template(),
                          material: ti.template()):
-        """Integrate the nodal forces of a batch, with the eliminated pressure increments; return the smallest J.
+        """Integrate the nodal forces of a batch, with the eliminated pressure increments.
 
-        The material history is that of `tissue_sim.fem.history`.
+        Return the smallest J, or the smallest margin of the domain of the law if it is smaller. The material history is that of `tissue_sim.fem.history`.
         """
         for a in range(nodes):
             i = b * nodes + a
@@ -371,13 +374,17 @@ def make_element_kernel_functions(element_name: str, energy: KernelEnergy) -> El
             P, cof = [vec(0.0) for _m in ti.static(range(9))], [vec(0.0) for _m in ti.static(range(9))]
             # Compiled twice, because forces alone take three quarters of the time.
             if tangent > 0.0:
-                P1, cof1 = get_weighted_stress_and_store_tangent(b, q, True, remembers, H, 1.0 + dilation, p, elements,
-                                                                 material)
+                P1, cof1, margin = get_weighted_stress_and_store_tangent(b, q, True, remembers, H, 1.0 + dilation, p,
+                                                                         elements, material)
+                if ti.static(is_limited):
+                    least = ti.min(least, margin)
                 for m in ti.static(range(9)):
                     P[m], cof[m] = P1[m], cof1[m]
             else:
-                P1, cof1 = get_weighted_stress_and_store_tangent(b, q, False, remembers, H, 1.0 + dilation, p, elements,
-                                                                 material)
+                P1, cof1, margin = get_weighted_stress_and_store_tangent(b, q, False, remembers, H, 1.0 + dilation, p,
+                                                                         elements, material)
+                if ti.static(is_limited):
+                    least = ti.min(least, margin)
                 for m in ti.static(range(9)):
                     P[m], cof[m] = P1[m], cof1[m]
             for a in range(nodes):
@@ -447,7 +454,7 @@ def make_assembly_kernel(element_name: str, energy: KernelEnergy):
     """Return the kernel that assembles the nodal forces, and the tangent if the array `settings` requests it.
 
     The kernel adds the forces, N, to the array ``residual`` and the stiffness, N/m, to ``data``, and writes the
-    smallest volume ratio J of all quadrature points to ``least[0]``. ``batches[0]`` is the number of batches. The
+    smallest volume ratio J or margin of the law's domain of all quadrature points to ``least[0]``. ``batches[0]`` is the number of batches. The
     columns of ``settings`` are `AssemblySettingColumn`.
 
     Args:
