@@ -43,7 +43,7 @@ from calibration.campaign.tables import (
     require_analytical_support_of_test_table,
     require_positive_if_stated,
 )
-from tissue_sim.errors import InputError, located_and_converted_errors, make_hint_with_similar_or_known_words
+from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.laws import LAWS

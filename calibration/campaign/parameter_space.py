@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -23,6 +23,8 @@ from tissue_sim.rig.rig import Rig
 REFERENCE_MODULUS = 1000.0
 #: Digits to which normalised moduli are rounded, so that stored simulations are found again.
 _DIGITS = 12
+#: I1 - 3 of the data for the starts of a law if no test is homogeneous; 0.5 is a uniaxial stretch of 0.65 or 1.47.
+_STRAIN_IF_UNKNOWN = 0.5
 #: Smallest typical size of a parameter, in units of files or of the shear modulus.
 _MIN_SIZE = 0.1
 
@@ -88,6 +90,7 @@ class ParameterSpace:
         prior_mean: means of the priors of the free parameters, SI, shape (p,).
         prior_deviation: standard deviations of the priors, SI, shape (p,); inf without a prior.
         bulk: bulk response if no parameter states one.
+        law_starts: starts of dimensionless parameters of the law by path, best first; the others are exponents.
     """
 
     law: str
@@ -100,6 +103,7 @@ class ParameterSpace:
     prior_mean: np.ndarray
     prior_deviation: np.ndarray
     bulk: Bulk
+    law_starts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @classmethod
     def from_campaign(cls, law: str, campaign: Campaign,
@@ -127,6 +131,27 @@ class ParameterSpace:
         start = {each.name: settings.start[each.path] for each in free if each.path in settings.start}
         return cls(law, tuple(unknowns), tuple(each.name for each in free), fixed, start, bounds[:, 0], bounds[:, 1],
                    prior[:, 0], prior[:, 1], settings.bulk)
+
+    def with_ranges_of_data(self, largest_strain: float | None) -> ParameterSpace:
+        """Return the space with the starts and bounds of the law's dimensionless parameters that the data give.
+
+        Args:
+            largest_strain: largest I1 - 3 of the data; None: unknown, so that the bounds stay as they are.
+
+        Raises:
+            InputError: stated bounds exclude all values that the data allow.
+        """
+        ranges = find_law(self.law).compute_fit_ranges(_STRAIN_IF_UNKNOWN if largest_strain is None else largest_strain)
+        low, high = self.low.copy(), self.high.copy()
+        for place, each in enumerate(self.free_parameters if largest_strain is not None else ()):
+            if each.is_law_parameter and each.path in ranges:
+                limits = ranges[each.path]
+                low[place], high[place] = max(low[place], limits.low), min(high[place], limits.high)
+                if low[place] >= high[place]:
+                    raise InputError(f"bounds must include values from {limits.low:g} to {limits.high:g}, for which "
+                                     f"{self.law} is defined at all strains of the data; got [{self.low[place]:g}, "
+                                     f"{self.high[place]:g}]", field=f"fit.bounds.{each.path}")
+        return replace(self, low=low, high=high, law_starts={path: each.starts for path, each in ranges.items()})
 
     @property
     def names(self) -> tuple[str, ...]:

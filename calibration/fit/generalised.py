@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations_with_replacement, cycle
+from itertools import combinations_with_replacement, cycle, product
 from typing import Any
 
 import numpy as np
@@ -63,7 +63,9 @@ def list_starts_with_varied_exponents(space: ParameterSpace, count: int) -> list
     Returns:
         Free parameters inside their bounds, SI, each of shape (p,).
     """
-    exponents = [each.name for each in space.free_parameters if each.is_dimensionless_law_parameter]
+    dimensionless = [each for each in space.free_parameters if each.is_dimensionless_law_parameter]
+    exponents = [each.name for each in dimensionless if each.path not in space.law_starts]
+    own = {each.name: space.law_starts[each.path] for each in dimensionless if each.path in space.law_starts}
     grids = [grid for grid in combinations_with_replacement(EXPONENTS, len(exponents))
              if len(set(grid)) == len(grid)] or [()]
     # Exponents of different signs come before those of equal signs.
@@ -71,13 +73,14 @@ def list_starts_with_varied_exponents(space: ParameterSpace, count: int) -> list
                                  sum(EXPONENTS.index(e) for e in grid)))
     found: list[np.ndarray] = []
     moduli = [each.name for each in space.free_parameters if each.is_modulus]
-    for turns, grid in enumerate(cycle(grids)):
+    combinations = [(*grid, *values) for values in product(*own.values()) for grid in grids]
+    for turns, grid in enumerate(cycle(combinations)):
         factors = [1.0] * len(space.free)
-        if turns >= len(grids) and len(space.free) > 1:
-            step = turns // len(grids) - 1
+        if turns >= len(combinations) and len(space.free) > 1:
+            step = turns // len(combinations) - 1
             place = step % len(space.free)
             factors[place] = FACTORS[step // len(space.free) % len(FACTORS)]
-        guess = dict(zip(exponents, grid, strict=True))
+        guess = dict(zip((*exponents, *own), grid, strict=True))
         guess |= {name: _MODULUS / (1 + i) for i, name in enumerate(moduli)}
         values = [space.start.get(name, guess.get(name, 1.0)) for name in space.free]
         theta = np.clip(np.array(values) * factors, space.low, space.high)

@@ -5,10 +5,10 @@ Its starting values have exponents from a grid and other parameters from linear 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations_with_replacement
+from itertools import combinations_with_replacement, product
 
 import numpy as np
 from scipy.optimize import nnls
@@ -19,7 +19,7 @@ from calibration.campaign.parameter_space import ParameterSpace
 from calibration.campaign.parameters import OFFSET_DEFAULTS
 from calibration.fit.problem import LeastSquaresProblem, LongTermPronyVariables, ProblemEvaluation, Variables
 from calibration.forward.closed import ClosedFormTest
-from calibration.forward.contract import InfeasibleError
+from calibration.forward.contract import InfeasibleError, find_largest_strain_of_data_or_none
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.statistics import (
     compute_median_sampling_interval_or_zero,
@@ -105,6 +105,7 @@ class OrdinaryProblem(LeastSquaresProblem):
         noise = compute_sample_weighted_rms_noise(np.array([curve.noise.deviation / area for curve, area in pairs]),
                                                   index)
         force_noise = max((curve.noise.deviation for curve, _ in pairs if curve.test.specimen is not None), default=0.0)
+        space = space.with_ranges_of_data(find_largest_strain_of_data_or_none(tests))
         return cls(space, tuple(tests), solves, settings, noise, force_noise)
 
     @property
@@ -136,7 +137,8 @@ class OrdinaryProblem(LeastSquaresProblem):
         index_of = {name: index for index, name in enumerate(free)}
         moduli = [law.units[name] != "1" for name in law.parameters]
         own = np.array([index_of[name] for name in law.parameters])
-        return LongTermPronyVariables(own[moduli], own[np.logical_not(moduli)],
+        exponents = own[np.logical_not(moduli)]
+        return LongTermPronyVariables(own[moduli], exponents, (self.space.low[exponents], self.space.high[exponents]),
                                       np.array([index_of[g] for g, _ in terms]),
                                       np.array([index_of[tau] for _, tau in terms]),
                                       self.median_sampling_interval_and_longest_duration)
@@ -304,11 +306,21 @@ def compute_analytical_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     return found
 
 
-def _iterate_exponent_combinations(count: int) -> Iterator[tuple[float, ...]]:
-    """Yield combinations of exponents that are not all equal."""
-    for grid in combinations_with_replacement(EXPONENTS, count):
-        if len(set(grid)) >= min(count, 2):
-            yield grid
+def _iterate_dimensionless_starts(paths: Sequence[str],
+                                  starts: Mapping[str, tuple[float, ...]]) -> Iterator[tuple[float, ...]]:
+    """Yield values of dimensionless parameters of the law: their own starts, or exponents that are not all equal.
+
+    Args:
+        paths: paths of the parameters.
+        starts: starts of some of the parameters by path; the others are exponents.
+    """
+    exponents = [path for path in paths if path not in starts]
+    own = [path for path in paths if path in starts]
+    for grid in combinations_with_replacement(EXPONENTS, len(exponents)):
+        if len(set(grid)) >= min(len(exponents), 2):
+            for values in product(*(starts[path] for path in own)):
+                known = dict(zip((*exponents, *own), (*grid, *values), strict=True))
+                yield tuple(known[path] for path in paths)
 
 
 def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
@@ -335,7 +347,7 @@ def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     guess = max(largest / max(strain, 1e-3), 1e-9) / 6.0 / max(len(moduli), 1)
     low, high = problem.bounds
     candidates = []
-    for grid in _iterate_exponent_combinations(len(kinds)):
+    for grid in _iterate_dimensionless_starts(kinds, space.law_starts):
         unknowns = np.zeros(low.size)
         for index, name in enumerate(space.free):
             unknowns[index] = guess if of_law[index] else space.start.get(name, 0.0)
@@ -432,7 +444,8 @@ def _compute_viscoelastic_starts(problem: OrdinaryProblem, variables: LongTermPr
     count = int(np.clip(_STARTS.times_per_decade * np.log10(longest / shortest), terms + 1, 16))
     grid = np.geomspace(shortest, longest, count)
     candidates = []
-    for exponents in _iterate_exponent_combinations(int((~model.moduli).sum())):
+    paths = [name for name, is_modulus in zip(model.law.parameters, model.moduli, strict=True) if not is_modulus]
+    for exponents in _iterate_dimensionless_starts(paths, problem.space.law_starts):
         values = np.ones(model.moduli.size)
         values[~model.moduli] = exponents
         if (solved := model.solve_moduli_and_ratios_or_none(values, grid)) is not None:

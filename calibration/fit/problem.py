@@ -19,7 +19,7 @@ from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve, compute_default_contact_offset_deviation
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.campaign.parameters import OFFSET_DEFAULTS
-from calibration.forward.contract import ForwardTest, InfeasibleError
+from calibration.forward.contract import ForwardTest, InfeasibleError, find_largest_strain_of_data_or_none
 from calibration.forward.forms import build_forward_test_of_inverse_fit, compute_mesh_uncertainty
 from calibration.forward.meshes import FAST_MESH_ERRORS
 from calibration.forward.simulation_cache import SimulationCache
@@ -34,13 +34,11 @@ class PronyVariableBoundSettings:
 
     Attributes:
         max_ratio: largest ratio r_i = g_i / (1 - sum g) of a relaxing to the long-term stiffness.
-        max_exponent: largest absolute value of an exponent.
         time_margin: factor by which a relaxation time may be shorter than the sampling interval or longer than the
             longest recording. A larger value admits times on which the samples have no information.
     """
 
     max_ratio: float = 1e3
-    max_exponent: float = 50.0
     time_margin: float = 10.0
 
 
@@ -85,7 +83,8 @@ class LongTermPronyVariables:
 
     Attributes:
         moduli: indices of the moduli among the unknowns.
-        exponents: indices of the exponents.
+        exponents: indices of the exponents and other dimensionless parameters of the law.
+        exponent_bounds: their lower and upper bounds.
         g: indices of the fractions g_i.
         tau: indices of the relaxation times.
         time_range: sampling interval and duration of the longest recording, s.
@@ -93,6 +92,7 @@ class LongTermPronyVariables:
 
     moduli: np.ndarray
     exponents: np.ndarray
+    exponent_bounds: tuple[np.ndarray, np.ndarray]
     g: np.ndarray
     tau: np.ndarray
     time_range: tuple[float, float]
@@ -102,7 +102,7 @@ class LongTermPronyVariables:
         """Lower and upper bounds of the variables, shapes (k,)."""
         low = np.full(self.moduli.size + self.exponents.size + self.g.size + self.tau.size, -np.inf)
         high = -low
-        low[self.exponents], high[self.exponents] = -_BOUNDS.max_exponent, _BOUNDS.max_exponent
+        low[self.exponents], high[self.exponents] = self.exponent_bounds
         low[self.g], high[self.g] = 0.0, _BOUNDS.max_ratio
         shortest, longest = self.time_range
         low[self.tau], high[self.tau] = np.log([shortest / _BOUNDS.time_margin, longest * _BOUNDS.time_margin])
@@ -576,6 +576,7 @@ def build_generalised_problem(law: str, campaign: Campaign, measured: Mapping[st
     jitter = make_stated_or_guessed_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
     tests = tuple(build_forward_test_of_inverse_fit(test, measured[test.name], campaign.fit, jitter.contact)
                   for test in fitted)
+    space = space.with_ranges_of_data(find_largest_strain_of_data_or_none(tests))
     # With the error of the fast mesh in the covariance, offsets do not compensate for this error.
     return GeneralisedProblem(space, tests, solves, jitter,
                               tuple(compute_mesh_uncertainty(test, FAST_MESH_ERRORS) for test in tests))

@@ -64,14 +64,16 @@ def list_sign_flipped_starts(space: ParameterSpace, theta: np.ndarray) -> list[n
         Unknowns inside their bounds, each of shape (k,); empty for a law without free exponents.
     """
     varied = space.free_parameters
-    paths = list(dict.fromkeys(each.path for each in varied if each.is_dimensionless_law_parameter))
+    # A parameter that must be positive has no other sign.
+    signed = [each.is_dimensionless_law_parameter and space.low[place] < 0 for place, each in enumerate(varied)]
+    paths = list(dict.fromkeys(each.path for each, is_signed in zip(varied, signed, strict=True) if is_signed))
     found = []
     for signs in product((1.0, -1.0), repeat=len(paths)):
         if all(sign > 0 for sign in signs):
             continue
         start = np.array(theta, dtype=float)
         for place, each in enumerate(varied):
-            if each.is_dimensionless_law_parameter:
+            if signed[place]:
                 start[place] *= signs[paths.index(each.path)]
         start[: len(varied)] = np.clip(start[: len(varied)], space.low, space.high)
         if not np.allclose(start, theta):

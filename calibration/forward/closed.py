@@ -21,6 +21,7 @@ from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.laws import Law, find_law
+from tissue_sim.laws.law import compute_first_invariant
 from tissue_sim.material.material import Material
 from tissue_sim.parameters import split_path_into_names_and_indices
 from tissue_sim.specimen import Specimen
@@ -95,6 +96,15 @@ class ClosedFormTest:
     def closed_form(self) -> ClosedForm:
         """Closed form (stress as a function of strain) of the kind of test."""
         return self.kind.require_closed_form()
+
+    @property
+    def largest_strain_or_none(self) -> float | None:
+        """Largest I1 - 3 of the recordings in contact; see `ForwardTest.largest_strain_or_none`."""
+        abscissa = self.convert_displacement_to_stretch_or_shear(
+            np.concatenate([curve.displacement for curve in self.measured]))
+        if not self.kind.has_gripped_ends:
+            abscissa = abscissa[self.kind.convert_abscissa_to_nominal_strain(abscissa) >= 0.0]
+        return float((compute_first_invariant(abscissa, self.closed_form.law_mode) - 3.0).max(initial=0.0))
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> list[ClosedFormParameters]:
         """Return the parameter values of each recording for `evaluate_force_and_derivatives`; computes no force yet."""

@@ -6,6 +6,7 @@ self-weight) and `SimulatedTest` (finite elements).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol
 
@@ -81,6 +82,10 @@ class ForwardTest(Protocol):
     def closed_form(self) -> ClosedForm:
         """Closed form (stress as a function of strain) of a homogeneous test."""
 
+    @property
+    def largest_strain_or_none(self) -> float | None:
+        """Largest I1 - 3 of the recordings, of an incompressible material; None for an inhomogeneous test."""
+
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> Any:
         """Return the input of `evaluate_force_and_derivatives` at given parameters.
 
@@ -131,3 +136,8 @@ class ForwardTest(Protocol):
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the range of principal stretches that the specimen reaches in all recordings at `theta`."""
+
+
+def find_largest_strain_of_data_or_none(tests: Sequence[ForwardTest]) -> float | None:
+    """Return the largest I1 - 3 of the homogeneous tests; None without such a test."""
+    return max((strain for test in tests if (strain := test.largest_strain_or_none) is not None), default=None)

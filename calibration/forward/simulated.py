@@ -36,6 +36,7 @@ from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
+from tissue_sim.laws.law import compute_first_invariant
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.rig.rig import Rig
@@ -74,6 +75,19 @@ class SimulatedTest(SimulatedMotions):
     def is_homogeneous(self) -> bool:
         """Whether the deformation is homogeneous, so that every mesh is exact."""
         return not self.layered and self._build_experiment(self.motions[0]).has_homogeneous_deformation
+
+    @property
+    def _largest_displacement(self) -> float:
+        """Largest measured displacement of all recordings, m."""
+        return max(float(curve.displacement.max()) for curve in self.measured)
+
+    @property
+    def largest_strain_or_none(self) -> float | None:
+        """See `ForwardTest.largest_strain_or_none`; None with a rig, whose compliance makes the strain smaller."""
+        if self.rig != Rig() or not self.is_homogeneous:
+            return None
+        stretch = 1.0 - self._largest_displacement / self.specimen.height
+        return float(compute_first_invariant(stretch, self.closed_form.law_mode) - 3.0)
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> SimulatedTestForceCurves:
         """Simulate force curves and derivatives for each recording, with the mesh correction; see `ForwardTest.solve`.
@@ -367,7 +381,7 @@ class SimulatedTest(SimulatedMotions):
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the range of principal stretches over the volume at the largest depth, without the outer 1 % each."""
-        deepest = max(float(curve.displacement.max()) for curve in self.measured)
+        deepest = self._largest_displacement
         if self.is_homogeneous:
             return compute_compression_stretch_range(self.closed_form, 1 - deepest / self.specimen.height)
         points = max(3, self.motions[0].tool_protocol.time.size // 2)

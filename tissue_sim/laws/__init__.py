@@ -28,7 +28,8 @@ LAWS: Registry[Law] = Registry("law", "tissue_sim.laws", {law.name: law for law 
     ArrudaBoyce(),
     FungDemiray(),
     Ogden(1), Ogden(2), Ogden(3), Ogden(4),
-)}, aliases={"yeoh": "reduced_polynomial_3"}, accepts=lambda law: isinstance(law, Law), expected="an object of a class derived from InvariantLaw or StretchLaw")
+)}, accepts=lambda law: isinstance(law, Law), expected="an object of a class derived from InvariantLaw or StretchLaw",
+    aliases={"yeoh": "reduced_polynomial_3"})
 
 
 def register_law(law: Law) -> Law:

@@ -37,4 +37,4 @@ class ArrudaBoyce(InvariantLaw):
         """Return the range of lambda_m; its starts are multiples of the largest stretch of the chains in the data."""
         chain_stretch = (1.0 + largest_strain / 3.0)**0.5
         return {"lambda_m": ParameterRange(*self.parameter_bounds["lambda_m"], tuple(
-            factor * chain_stretch for factor in (0.3, 0.6, 1.0, 1.5, 3.0, 10.0)))}
+            factor * chain_stretch for factor in (1.5, 3.0, 1.0, 0.6, 10.0, 0.3)))}

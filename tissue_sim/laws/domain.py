@@ -34,7 +34,7 @@ def list_domain_conditions(energy: sp.Expr, rest: Mapping[sp.Symbol, float], *,
 
     conditions = [logarithm.args[0] for logarithm in energy.atoms(sp.log) if is_limited(logarithm.args[0])]
     for power in energy.atoms(sp.Pow):
-        if not is_limited(power.base) or power.exp.is_nonnegative and power.exp.is_integer:
+        if not is_limited(power.base) or (power.exp.is_nonnegative and power.exp.is_integer):
             continue
         conditions.append(power.base * power.base.subs(rest) if power.exp.is_integer else power.base)
     if includes_overflow:

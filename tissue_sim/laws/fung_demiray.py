@@ -47,4 +47,4 @@ class FungDemiray(InvariantLaw):
         """Return the range of b, whose upper bound is that without overflow at the largest I1 - 3 of the data."""
         size = 1.0 / max(largest_strain, 1e-6)
         return {"b": ParameterRange(0.0, min(MAX_EXPONENT * size, self.parameter_bounds["b"][1]),
-                                    tuple(factor * size for factor in (0.01, 0.1, 0.5, 1.0, 2.0, 5.0, 15.0)))}
+                                    tuple(factor * size for factor in (1.0, 0.1, 5.0, 0.5, 2.0, 0.01, 15.0)))}

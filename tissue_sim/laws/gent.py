@@ -28,4 +28,4 @@ class Gent(InvariantLaw):
         """Return the range of J_m, whose lower bound is the largest I1 - 3 of the data."""
         low = max(largest_strain, self.parameter_bounds["J_m"][0])
         return {"J_m": ParameterRange(low, self.parameter_bounds["J_m"][1],
-                                      tuple(factor * low for factor in (1.05, 1.3, 2.0, 5.0, 20.0, 100.0)))}
+                                      tuple(factor * low for factor in (5.0, 2.0, 20.0, 1.3, 100.0, 1.05)))}

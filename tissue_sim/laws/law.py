@@ -130,15 +130,19 @@ class ParameterRange:
     starts: tuple[float, ...]
 
 
-#: Homogeneous incompressible deformations: mode -> (principal stretches as a function of the stretch, number of loaded
-#: directions, by which dW/dlambda is divided for the nominal stress).
-_MODES = {
-    "uniaxial": (lambda s: (s, 1 / sp.sqrt(s), 1 / sp.sqrt(s)), 1),
-    "planar": (lambda s: (s, sp.Integer(1), 1 / s), 1),
-    "equibiaxial": (lambda s: (s, s, 1 / s**2), 2),
-}
+#: Homogeneous incompressible deformations: mode -> exponents of the principal stretches as powers of the stretch. The
+#: loaded directions, by whose number dW/dlambda is divided for the nominal stress, have the exponent 1.
+MODE_EXPONENTS = {"uniaxial": (1.0, -0.5, -0.5), "planar": (1.0, 0.0, -1.0), "equibiaxial": (1.0, 1.0, -2.0)}
 #: Names of the modes.
-MODES = tuple(_MODES)
+MODES = tuple(MODE_EXPONENTS)
+
+
+def compute_first_invariant(abscissa, mode: str) -> np.ndarray:
+    """Return I1 of a homogeneous deformation, shape of `abscissa`: a stretch, or gamma in ``"simple_shear"``."""
+    abscissa = np.asarray(abscissa, dtype=float)
+    if mode == "simple_shear":
+        return 3.0 + abscissa**2
+    return np.sum([abscissa**(2.0 * exponent) for exponent in MODE_EXPONENTS[mode]], axis=0)
 
 
 #: Members that laws of plug-ins may still define by their old names: old name -> new name.
@@ -383,8 +387,8 @@ def _derive_mode_stress_and_derivatives(law: Law, mode: str):
         stretches, directions = (l1, 1 / l1, sp.Integer(1)), 1
     else:
         s = sp.Symbol("lambda", positive=True)
-        path, directions = _MODES[mode]
-        stretches = path(s)
+        stretches = tuple(s**sp.Rational(exponent) for exponent in MODE_EXPONENTS[mode])
+        directions = MODE_EXPONENTS[mode].count(1.0)
     stress = sp.diff(law.energy_of_stretches(*stretches, law.symbols), s) / directions
     derivatives = [sp.diff(stress, variable) for variable in (s, *law.symbols)]
     return (s, *law.symbols), [stress, *derivatives, *law.list_domain_conditions_of_stretches(*stretches)]

@@ -7,7 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from tissue_sim.laws.law import MODES, Law
+from tissue_sim.laws.law import MODE_EXPONENTS, MODES, Law
 from tissue_sim.public_names import make_getattr_for_old_names, with_old_names
 
 __getattr__ = make_getattr_for_old_names(__name__, {"check_stability": "find_stability_range"})
@@ -133,12 +133,11 @@ def find_stability_range(law: Law, values, stretch_range: tuple[float, float] = 
         (False, 0.81, 1.25)
     """
     array = law.convert_parameters_to_array(values)
-    directions = {"uniaxial": (1.0, -0.5, -0.5), "planar": (1.0, 0.0, -1.0), "equibiaxial": (1.0, 1.0, -2.0)}
 
     def is_stable(stretch, mode):
         """Return whether the law is stable at each stretch of a mode, shape (n,)."""
         return _is_stable_at_log_strains(law, array,
-                                         np.multiply.outer(np.log(np.atleast_1d(stretch)), directions[mode]))
+                                         np.multiply.outer(np.log(np.atleast_1d(stretch)), MODE_EXPONENTS[mode]))
 
     def find_last_stable_stretch(end, mode):
         """Return the last stable stretch from 1 towards `end`; `end` itself if the law is stable on the whole range."""

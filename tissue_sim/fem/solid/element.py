@@ -336,7 +336,8 @@ def make_element_kernel_functions(element_name: str, energy: KernelEnergy) -> El
                          material: ti.template()):
         """Integrate the nodal forces of a batch, with the eliminated pressure increments.
 
-        Return the smallest J, or the smallest margin of the domain of the law if it is smaller. The material history is that of `tissue_sim.fem.history`.
+        Return the smallest J, or the smallest margin of the domain of the law if it is smaller. The material history
+        is that of `tissue_sim.fem.history`.
         """
         for a in range(nodes):
             i = b * nodes + a
@@ -453,9 +454,9 @@ def make_element_kernel_functions(element_name: str, energy: KernelEnergy) -> El
 def make_assembly_kernel(element_name: str, energy: KernelEnergy):
     """Return the kernel that assembles the nodal forces, and the tangent if the array `settings` requests it.
 
-    The kernel adds the forces, N, to the array ``residual`` and the stiffness, N/m, to ``data``, and writes the
-    smallest volume ratio J or margin of the law's domain of all quadrature points to ``least[0]``. ``batches[0]`` is the number of batches. The
-    columns of ``settings`` are `AssemblySettingColumn`.
+    The kernel adds the forces, N, to the array ``residual`` and the stiffness, N/m, to ``data``, and writes to
+    ``least[0]`` the smallest volume ratio J of all quadrature points, or the smallest margin of the domain of the law
+    if it is smaller. ``batches[0]`` is the number of batches. The columns of ``settings`` are `AssemblySettingColumn`.
 
     Args:
         element_name: a key of `SOLID_ELEMENTS`.
