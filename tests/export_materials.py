@@ -21,7 +21,17 @@ PARAMETERS = {
     "ogden_1": {"mu1": 2800.0, "alpha1": 3.7},
     "ogden_2": {"mu1": 1500.0, "alpha1": 3.0, "mu2": 800.0, "alpha2": -2.5},
     "ogden_3": {"mu1": 1500.0, "alpha1": 3.0, "mu2": 800.0, "alpha2": -2.5, "mu3": -200.0, "alpha3": 1.3},
+    "ogden_4": {"mu1": 1500.0, "alpha1": 3.0, "mu2": 800.0, "alpha2": -2.5, "mu3": -200.0, "alpha3": 1.3, "mu4": 90.0,
+                "alpha4": 5.0},
+    "gent": {"mu": 2800.0, "J_m": 9.7},
+    "arruda_boyce": {"mu": 2100.0, "lambda_m": 1.7},
+    "fung_demiray": {"mu": 2800.0, "b": 0.43},
 }
+#: Target -> laws that it does not have.
+MISSING = {"abaqus": {"gent", "fung_demiray"}, "calculix": {"gent", "fung_demiray", "ogden_4"},
+           "febio": {"arruda_boyce"}}
+#: Target -> laws that it has.
+LAWS = {target: [law for law in PARAMETERS if law not in missing] for target, missing in MISSING.items()}
 BULKS = (ts.Bulk(), ts.Bulk("K_Pa", 4.3e6), ts.Bulk("D1_per_Pa", 7.3e-7), ts.Bulk("bulk_ratio", 51.0))
 TERMS = (ts.PronyTerm(0.3, 2.0), ts.PronyTerm(0.123456789012345, 41.7))
 RELAXATIONS = (None, ts.Prony(TERMS), ts.Prony(TERMS, "long_term"))
@@ -37,21 +47,27 @@ def list_materials(law, relaxations=RELAXATIONS):
             for bulk, relaxation in product(BULKS, relaxations)]
 
 
-def our_stress(material, K, stretches, factor=1.0):
-    """Principal Cauchy stresses of this package, Pa; `factor` multiplies the deviator."""
+def our_stress(material, K, stretches, factor=1.0, pressure=lambda J: J - 1.0):
+    """Principal Cauchy stresses of this package, Pa; `factor` multiplies the deviator, `pressure` is that over K."""
     J = float(np.prod(stretches))
     isochoric = np.asarray(stretches) / J**(1 / 3)
     tau = material.energy_law.compute_energy_and_kirchhoff_stresses(isochoric, material.parameters)[1]
-    return factor * (tau - tau.mean()) / J + K * (J - 1.0)
+    return factor * (tau - tau.mean()) / J + K * pressure(J)
+
+
+def chain_pressure(law):
+    """Pressure over K of a law in Abaqus and CalculiX: (J - 1/J)/2 for ARRUDA-BOYCE, J - 1 for the others."""
+    return (lambda J: 0.5 * (J - 1.0 / J)) if law == "arruda_boyce" else (lambda J: J - 1.0)
 
 
 @st.composite
-def materials(draw, relaxing=True):
-    """Any material with a law, a bulk response, a density and perhaps relaxation."""
+def materials(draw, laws, relaxing=True):
+    """Any material with one of some laws, a bulk response, a density and perhaps relaxation."""
     moduli = st.floats(1.0, 1e5)
-    law = draw(st.sampled_from(tuple(PARAMETERS)))
-    parameters = {name: draw(moduli) if ts.find_law(law).units[name] == "Pa"
-                  else draw(st.floats(0.3, 20.0)) * draw(st.sampled_from((-1.0, 1.0))) for name in PARAMETERS[law]}
+    law = draw(st.sampled_from(laws))
+    # Dimensionless parameters with bounds are positive.
+    numbers = st.floats(1.0, 20.0) if ts.find_law(law).parameter_bounds else st.floats(0.3, 20.0) | st.floats(-20, -0.3)
+    parameters = {name: draw(moduli if ts.find_law(law).units[name] == "Pa" else numbers) for name in PARAMETERS[law]}
     bulk = draw(st.sampled_from((ts.Bulk(), ts.Bulk("K_Pa", draw(st.floats(1e3, 1e9))),
                                  ts.Bulk("D1_per_Pa", draw(st.floats(1e-9, 1e-3))),
                                  ts.Bulk("bulk_ratio", draw(st.floats(2.0, 1e4))))))

@@ -34,6 +34,11 @@ PARAMETERS = {
     "ogden_1": {"mu1": 3225.9, "alpha1": 14.8},
     "ogden_2": {"mu1": 1500.0, "alpha1": 3.0, "mu2": 800.0, "alpha2": -2.5},
     "ogden_3": {"mu1": 1500.0, "alpha1": 3.0, "mu2": 800.0, "alpha2": -2.5, "mu3": 300.0, "alpha3": 8.0},
+    "ogden_4": {"mu1": 1500.0, "alpha1": 3.0, "mu2": 800.0, "alpha2": -2.5, "mu3": 300.0, "alpha3": 8.0, "mu4": 90.0,
+                "alpha4": 1.2},
+    "gent": {"mu": 2800.0, "J_m": 9.7},
+    "arruda_boyce": {"mu": 2100.0, "lambda_m": 1.7},
+    "fung_demiray": {"mu": 2800.0, "b": 0.43},
 }
 
 

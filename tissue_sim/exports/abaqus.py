@@ -62,10 +62,11 @@ class HyperelasticForm:
 
 
 def _list_series_forms() -> list[HyperelasticForm]:
-    """Return the forms with an order from 1 to 3."""
+    """Return the forms with an order: the reduced polynomial from 1 to 3, Ogden's law from 1 to 4."""
     reduced = [HyperelasticForm("REDUCED POLYNOMIAL", f"reduced_polynomial_{n}", ("C10", "C20", "C30")[:n], n, n)
                for n in (1, 2, 3)]
-    ogden = [HyperelasticForm("OGDEN", f"ogden_{n}", find_law(f"ogden_{n}").parameters, n, n) for n in (1, 2, 3)]
+    ogden = [HyperelasticForm("OGDEN", f"ogden_{n}", find_law(f"ogden_{n}").parameters, n, n)
+             for n in (1, 2, 3, 4)]
     return [*reduced, *ogden]
 
 
@@ -73,6 +74,7 @@ def _list_series_forms() -> list[HyperelasticForm]:
 _WRITTEN = {form.law: form for form in (
     HyperelasticForm("NEO HOOKE", "neo_hooke", ("C10",)),
     HyperelasticForm("MOONEY-RIVLIN", "mooney_rivlin", ("C10", "C01")),
+    HyperelasticForm("ARRUDA-BOYCE", "arruda_boyce", find_law("arruda_boyce").parameters),
     *_list_series_forms(),
     HyperelasticForm("POLYNOMIAL", "biderman", _POLYNOMIAL, 3, 3))}
 #: Forms that are read: (option without blanks, order) -> form.
@@ -84,6 +86,9 @@ _READ = {(form.keyword.replace(" ", ""), form.order): form for form in (
 #: Difference of the relaxation in Abaqus from that in this package.
 _RELAXATION_REMARK = ("Abaqus relaxes the Kirchhoff stress in the current configuration, tissue_sim the second "
                       "Piola-Kirchhoff stress. Relaxing forces agree to first order in the strain.")
+#: Difference of the volumetric energy of the form ARRUDA-BOYCE.
+_ARRUDA_BOYCE_REMARK = ("U(J) of ARRUDA-BOYCE is K/2 ((J^2 - 1)/2 - ln J), that of tissue_sim K/2 (J - 1)^2. The "
+                        "pressures differ by a fraction of 0.5 |J - 1|.")
 #: Value of the option MODULI without blanks -> moduli of `Prony`.
 _MODULI = {"INSTANTANEOUS": "instantaneous", "LONGTERM": "long_term"}
 
@@ -95,6 +100,7 @@ class AbaqusTarget(ExportTarget):
     the second Piola-Kirchhoff stress: relaxing forces agree to first order in the strain.
 
     Attributes:
+        laws: laws that have a form.
         hyperelastic_options: options of ``*HYPERELASTIC`` besides the form and its order.
         readable_keywords: keywords of a material that are read.
     """
@@ -103,6 +109,7 @@ class AbaqusTarget(ExportTarget):
     suffix = ".inp"
     parts = frozenset({"viscoelastic"})
     part_remarks = {"softening": "its Mullins effect has an error function where ours has tanh"}
+    laws: ClassVar[frozenset[str]] = frozenset(_WRITTEN)
     hyperelastic_options: ClassVar[frozenset[str]] = frozenset({"MODULI"})
     readable_keywords: ClassVar[tuple[str, ...]] = ("HYPERELASTIC", "VISCOELASTIC", "DENSITY")
 
@@ -115,15 +122,17 @@ class AbaqusTarget(ExportTarget):
         return "\n".join(lines) + "\n"
 
     def list_file_remarks(self, content: ExportContent) -> tuple[str, ...]:
-        """Return the remarks of a file, with the difference of relaxation."""
+        """Return the remarks of a file, with the differences of relaxation and volumetric energy."""
         is_relaxing = any(material.viscoelastic is not None for material in content.materials)
-        return (*super().list_file_remarks(content), *([_RELAXATION_REMARK] if is_relaxing else ()))
+        has_chains = any(material.law == "arruda_boyce" for material in content.materials)
+        return (*super().list_file_remarks(content), *([_RELAXATION_REMARK] if is_relaxing else ()),
+                *([_ARRUDA_BOYCE_REMARK] if has_chains else ()))
 
     def _list_material_lines(self, material: Material, label: str, units: UnitSystem) -> list[str]:
         """Return the lines of one material."""
-        if material.law not in _WRITTEN:
-            raise InputError(f"{self.title} has no keyword for the law {material.law!r}; write a user subroutine",
-                             field="to")
+        if material.law not in self.laws:
+            raise InputError(f"{self.title} has no keyword for the law {material.law!r}; fit another law, or write a "
+                             "user subroutine", field="to")
         form, law = _WRITTEN[material.law], material.energy_law
         values = {name: value / (units.stress if law.units[name] == "Pa" else 1.0)
                   for name, value in zip(law.parameters, material.values, strict=True)}
@@ -164,7 +173,11 @@ class AbaqusTarget(ExportTarget):
         law = find_law(form.law)
         relaxation = self._read_relaxation(blocks["VISCOELASTIC"], hyperelastic) if "VISCOELASTIC" in blocks else None
         remarks = [] if relaxation is None else [f"{section.name}: {_RELAXATION_REMARK}"]
-        used = self.replace_absent_volumetric_values(D, law.mu0(values))
+        if law.name == "arruda_boyce":
+            remarks.append(f"{section.name}: {_ARRUDA_BOYCE_REMARK}")
+        # Of Arruda and Boyce's law CalculiX takes mu for the shear modulus at rest.
+        used = self.replace_absent_volumetric_values(D, values["mu"] if law.name == "arruda_boyce"
+                                                     else law.mu0(values))
         if used != D:
             remarks.append(f"{section.name}: {self.title} replaces D_i = {', '.join(f'{d:g}' for d in D)} by "
                            f"{', '.join(f'{d:g}' for d in used)}; the material has these values.")
@@ -183,28 +196,30 @@ class AbaqusTarget(ExportTarget):
 
         Args:
             D: numbers of the file.
-            mu0: shear modulus of the law at rest, in the units of the file.
+            mu0: shear modulus of the law at rest, for which the program takes it, in the units of the file.
         """
         return D
 
     def _find_form(self, block: KeywordBlock) -> HyperelasticForm:
         """Return the form that a keyword ``*HYPERELASTIC`` states."""
         options = {name.replace(" ", ""): value for name, value in block.options.items()}
-        keywords = {keyword for keyword, _ in _READ} & set(options)
+        readable = {key: form for key, form in _READ.items() if form.law in self.laws}
+        keywords = {keyword for keyword, _ in readable} & set(options)
         require_options(block, {"N", *self.hyperelastic_options, *keywords})
         if len(keywords) != 1:
-            raise InputError("*HYPERELASTIC must name one form of the energy: NEO HOOKE, MOONEY-RIVLIN, YEOH, REDUCED "
-                             f"POLYNOMIAL, POLYNOMIAL or OGDEN; got {', '.join(sorted(keywords)) or 'none'}.",
-                             line=block.line)
+            raise InputError("*HYPERELASTIC must name one form of the energy: NEO HOOKE, MOONEY-RIVLIN, ARRUDA-BOYCE, "
+                             "YEOH, REDUCED POLYNOMIAL, POLYNOMIAL or OGDEN; got "
+                             f"{', '.join(sorted(keywords)) or 'none'}.", line=block.line)
         keyword = next(iter(keywords))
         stated = options.get("N")
-        if (keyword, None) in _READ and stated is None:
-            return _READ[keyword, None]
+        if (keyword, None) in readable and stated is None:
+            return readable[keyword, None]
         order = int(stated or 1) if re.fullmatch(r"\d{1,3}|", stated or "", re.ASCII) else 0
-        if (keyword, order) not in _READ:
-            raise InputError(f"the order N of {keyword} must be 1, 2 or 3, and absent for a form without orders; got "
+        if (keyword, order) not in readable:
+            orders = ", ".join(str(order) for name, order in readable if name == keyword and order is not None)
+            raise InputError(f"the order N of {keyword} must be {f'one of {orders}' if orders else 'absent'}; got "
                              f"{stated!r}.", line=block.line)
-        return _READ[keyword, order]
+        return readable[keyword, order]
 
     def _read_coefficients(self, form: HyperelasticForm, block: KeywordBlock
                            ) -> tuple[dict[str, float], list[float]]:

@@ -1,8 +1,8 @@
 """Material section of FEBio 4: materials are written and read.
 
 Source: FEBio User's Manual 4, "Uncoupled elastic solids" and "Uncoupled viscoelastic"; classes ``FEUncoupledMaterial``,
-``FEMooneyRivlin``, ``FEYeoh``, ``FEOgdenMaterial``, ``FEUncoupledElasticMixture`` and
-``FEUncoupledViscoElasticMaterial`` of FEBio 4.11.
+``FEMooneyRivlin``, ``FEYeoh``, ``FEOgdenMaterial``, ``FEGentMaterial``, ``FEVerondaWestmann``, ``FEArrudaBoyce``,
+``FEUncoupledElasticMixture`` and ``FEUncoupledViscoElasticMaterial`` of FEBio 4.11.
 """
 
 from __future__ import annotations
@@ -31,13 +31,25 @@ _MAX_TERMS = 6
 _PARAMETERS = {
     "Mooney-Rivlin": ("c1", "c2"),
     "incomp neo-Hookean": ("G",),
+    "Gent": ("G", "Jm"),
     "Yeoh": tuple(f"c{i}" for i in range(1, _MAX_TERMS + 1)),
     "Ogden": tuple(f"{letter}{i}" for letter in "cm" for i in range(1, _MAX_TERMS + 1))}
 #: Type of a sum of elastic materials.
 _MIXTURE = "uncoupled solid mixture"
+#: Type with W = c1 (exp(c2 (I1 - 3)) - 1) - c1 c2/2 (I2 - 3), which is read as a part of a sum only.
+_VERONDA_WESTMANN = "Veronda-Westmann"
 #: Law -> type of its elastic material.
 _TYPES = {"neo_hooke": "Mooney-Rivlin", "mooney_rivlin": "Mooney-Rivlin", "biderman": _MIXTURE,
-          **{f"reduced_polynomial_{n}": "Yeoh" for n in (1, 2, 3)}, **{f"ogden_{n}": "Ogden" for n in (1, 2, 3)}}
+          "gent": "Gent", "fung_demiray": _MIXTURE,
+          **{f"reduced_polynomial_{n}": "Yeoh" for n in (1, 2, 3)}, **{f"ogden_{n}": "Ogden" for n in (1, 2, 3, 4)}}
+#: Type of a series -> largest number of terms of the laws of this package.
+_READ_TERMS = {"Yeoh": 3, "Ogden": 4}
+#: Law without equivalent -> reason, if FEBio has a type of its name.
+_DIFFERENT_TYPES = {
+    "arruda_boyce": "the stress of its type Arruda-Boyce has the i-th term of the series times i (FEArrudaBoyce.cpp)"}
+#: Tangent of the type Gent.
+_GENT_REMARK = ("The tangent of the type Gent in FEBio 4.11 lacks the second derivative of W (FEGentMaterial.cpp). The "
+                "stress is exact, but Newton's method converges slowly.")
 #: Type of a material with relaxation.
 _VISCOELASTIC = "uncoupled viscoelastic"
 #: Names of the parameters of a material with relaxation.
@@ -74,9 +86,11 @@ class FebioTarget(ExportTarget):
         return "\n".join([*lines, "  </Material>", "</febio_spec>"]) + "\n"
 
     def list_file_remarks(self, content: ExportContent) -> tuple[str, ...]:
-        """Return the remarks of a file, with the convention of the type Yeoh."""
+        """Return the remarks of a file, with the convention of the type Yeoh and the tangent of the type Gent."""
         has_yeoh = any("C20" in material.parameters for material in content.materials)
-        return (*super().list_file_remarks(content), *([_YEOH_REMARK] if has_yeoh else ()))
+        has_gent = any(material.law == "gent" for material in content.materials)
+        return (*super().list_file_remarks(content), *([_YEOH_REMARK] if has_yeoh else ()),
+                *([_GENT_REMARK] if has_gent else ()))
 
     def _list_material_lines(self, material: Material, attributes: str, units: UnitSystem) -> list[str]:
         """Return the lines of one material."""
@@ -172,7 +186,9 @@ def _list_law_lines(material: Material, units: UnitSystem) -> tuple[str, list[st
         InputError: FEBio has no such law.
     """
     if material.law not in _TYPES:
-        raise InputError(f"FEBio has no equivalent of the law {material.law!r}; write a plug-in of FEBio", field="to")
+        reason = f": {_DIFFERENT_TYPES[material.law]}" if material.law in _DIFFERENT_TYPES else ""
+        raise InputError(f"FEBio has no equivalent of the law {material.law!r}{reason}; fit another law, or write a "
+                         "plug-in of FEBio", field="to")
     kind = _TYPES[material.law]
     values = dict(zip(material.energy_law.parameters, material.values, strict=True))
     stresses = {name: value / units.stress for name, value in values.items()}
@@ -181,15 +197,27 @@ def _list_law_lines(material: Material, units: UnitSystem) -> tuple[str, list[st
                       _format_element("c2", stresses.get("C01", 0.0))]
     if kind == "Yeoh":
         return kind, [_format_element(f"c{i}", i * value) for i, value in enumerate(stresses.values(), start=1)]
+    if kind == "Gent":
+        return kind, [_format_element("G", stresses["mu"]), _format_element("Jm", values["J_m"])]
+    if kind == _MIXTURE and material.law == "fung_demiray":
+        # The Mooney-Rivlin part cancels the term of I2.
+        mu, b = stresses["mu"], values["b"]
+        return kind, _list_mixture_lines({_VERONDA_WESTMANN: {"c1": mu / (2.0 * b), "c2": b},
+                                          "Mooney-Rivlin": {"c1": 0.0, "c2": mu / 4.0}})
     if kind == _MIXTURE:
-        terms = {"Mooney-Rivlin": {"c1": stresses["C10"], "c2": stresses["C01"]},
-                 "Yeoh": {"c1": 0.0, "c2": 2.0 * stresses["C20"], "c3": 3.0 * stresses["C30"]}}
-        return kind, [line for solid, coefficients in terms.items() for line in (
-            f'<solid type="{solid}">', *(f"  {_format_element(name, c)}" for name, c in coefficients.items()),
-            "</solid>")]
+        return kind, _list_mixture_lines({
+            "Mooney-Rivlin": {"c1": stresses["C10"], "c2": stresses["C01"]},
+            "Yeoh": {"c1": 0.0, "c2": 2.0 * stresses["C20"], "c3": 3.0 * stresses["C30"]}})
     # FEBio: W = sum of c_i / m_i^2 (...); this package: W = sum of 2 mu_i / alpha_i^2 (...).
     return kind, [line for i in range(1, len(values) // 2 + 1) for line in (
         _format_element(f"c{i}", 2.0 * stresses[f"mu{i}"]), _format_element(f"m{i}", values[f"alpha{i}"]))]
+
+
+def _list_mixture_lines(solids: Mapping[str, Mapping[str, float]]) -> list[str]:
+    """Return the lines of the parts of a sum; `solids` is type -> parameters, in the units of the file."""
+    return [line for solid, coefficients in solids.items() for line in (
+        f'<solid type="{solid}">', *(f"  {_format_element(name, c)}" for name, c in coefficients.items()),
+        "</solid>")]
 
 
 def _require_known_type(element: XmlElement) -> None:
@@ -213,43 +241,69 @@ def _read_law(element: XmlElement, *, is_nested: bool) -> tuple[str, dict[str, f
         element.require_attributes(("type",))
         element.require_children(("density", "k", "pressure_model", *_PARAMETERS.get(kind, ("solid",))),
                                  repeated=("solid",))
-        if element.read_number("k", 0.0) != 0.0:
-            raise InputError(f"k must be stated in the outer material only; got {element.read_number('k', 0.0):g} in "
-                             f"<{element.tag}>.", line=element.line)
+        _require_no_own_bulk_modulus(element)
     if kind == _MIXTURE:
-        return "biderman", _read_mixture(element)
+        return _read_mixture(element)
     values = {name: element.read_number(name, 1.0 if name[0] == "m" else 0.0) for name in _PARAMETERS[kind]}
     if kind == "incomp neo-Hookean":
         return "neo_hooke", {"C10": 0.5 * values["G"]}
+    if kind == "Gent":
+        return "gent", {"mu": values["G"], "J_m": values["Jm"]}
     if kind == "Mooney-Rivlin":
         return (("neo_hooke", {"C10": values["c1"]}) if values["c2"] == 0.0
                 else ("mooney_rivlin", {"C10": values["c1"], "C01": values["c2"]}))
     # FEBio Studio writes all six terms; absent terms at the end have the coefficient 0.
     count = max((i for i in range(1, _MAX_TERMS + 1) if values[f"c{i}"] != 0.0), default=1)
-    if count > 3:
-        raise InputError(f"c{count} must be 0, because the laws of this package have at most 3 terms; got "
-                         f"{values[f'c{count}']:g}.", line=element.line)
+    if count > _READ_TERMS[kind]:
+        raise InputError(f"c{count} must be 0, because the laws of this package have at most {_READ_TERMS[kind]} terms "
+                         f"of the type {kind}; got {values[f'c{count}']:g}.", line=element.line)
     if kind == "Yeoh":
         return f"reduced_polynomial_{count}", {f"C{i}0": values[f"c{i}"] / i for i in range(1, count + 1)}
     return f"ogden_{count}", {name: value for i in range(1, count + 1) for name, value in (
         (f"mu{i}", 0.5 * values[f"c{i}"]), (f"alpha{i}", values[f"m{i}"]))}
 
 
-def _read_mixture(element: XmlElement) -> dict[str, float]:
-    """Return the sum of polynomial energies as parameters of the law ``biderman``, in the units of the file."""
+def _read_mixture(element: XmlElement) -> tuple[str, dict[str, float]]:
+    """Return the law of a sum of elastic materials and its parameters, in the units of the file.
+
+    A sum of polynomial energies is the law ``biderman``. The type Veronda-Westmann, with a polynomial that cancels its
+    term of I2, is the law ``fung_demiray``.
+    """
     total = dict.fromkeys(find_law("biderman").parameters, 0.0)
+    exponential: tuple[float, float] | None = None
     for solid in element.children:
         if solid.tag != "solid":
             continue
-        if solid.attributes.get("type") == _MIXTURE:
+        kind = solid.attributes.get("type")
+        if kind == _MIXTURE:
             raise InputError("a mixture must not contain mixtures.", line=solid.line)
+        if kind == _VERONDA_WESTMANN and exponential is None:
+            solid.require_attributes(("type",))
+            solid.require_children(("density", "k", "pressure_model", "c1", "c2"))
+            _require_no_own_bulk_modulus(solid)
+            exponential = solid.read_number("c1", 0.0), solid.read_number("c2", 0.0)
+            continue
         _, parameters = _read_law(solid, is_nested=True)
         if not parameters.keys() <= total.keys():
-            raise InputError(f"the type {solid.attributes['type']!r} in a mixture has no equivalent; known: "
-                             "Mooney-Rivlin, incomp neo-Hookean, Yeoh.", line=solid.line)
+            raise InputError(f"the type {kind!r} in a mixture has no equivalent; known: Mooney-Rivlin, incomp "
+                             f"neo-Hookean, Yeoh, and one {_VERONDA_WESTMANN}.", line=solid.line)
         for name, value in parameters.items():
             total[name] += value
-    return total
+    if exponential is None:
+        return "biderman", total
+    c1, c2 = exponential
+    if not (abs(total.pop("C01") - 0.5 * c1 * c2) <= _ROUNDING * abs(c1 * c2) and not any(total.values())):
+        raise InputError(f"the type {_VERONDA_WESTMANN} must be added to Mooney-Rivlin with c1 = 0 and c2 = "
+                         f"{0.5 * c1 * c2:g}, which cancels its term of I2, because this package has no law with this "
+                         "term.", line=element.line)
+    return "fung_demiray", {"mu": 2.0 * c1 * c2, "b": c2}
+
+
+def _require_no_own_bulk_modulus(element: XmlElement) -> None:
+    """Raise an error if an elastic material that is a part of another one has a bulk modulus of its own."""
+    if element.read_number("k", 0.0) != 0.0:
+        raise InputError(f"k must be stated in the outer material only; got {element.read_number('k', 0.0):g} in "
+                         f"<{element.tag}>.", line=element.line)
 
 
 def _read_relaxation(element: XmlElement) -> tuple[float, Prony | None]:

@@ -1,6 +1,7 @@
 """Material section of FEBio: stresses of its formulas, evaluated from the exported text, and documents that are read.
 
 The formulas are those of FEBio 4.11 (``FEMooneyRivlin.cpp``, ``FEYeoh.cpp``, ``FEOgdenMaterial.cpp``,
+``FEGentMaterial.cpp``, ``FEVerondaWestmann.cpp``,
 ``FEUncoupledMaterial.h``, ``FEUncoupledViscoElasticMaterial.cpp``), written here without code of this package.
 """
 
@@ -8,7 +9,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from export_materials import BULKS, PARAMETERS, STRETCHES, TERMS, our_stress, read, write
+from export_materials import BULKS, LAWS, PARAMETERS, STRETCHES, TERMS, our_stress, read, write
 
 import tissue_sim as ts
 from tissue_sim.exports.febio import FEBIO
@@ -33,6 +34,11 @@ def deviatoric_stress(element, stretches, J):
     I1 = B.sum()
     if kind == "Mooney-Rivlin":
         stress = 2.0 / J * (B * (c["c1"] + c["c2"] * I1) - c["c2"] * B**2)
+    elif kind == "Gent":
+        stress = 2.0 / J * B * 0.5 * c["G"] * c["Jm"] / (c["Jm"] - I1 + 3.0)
+    elif kind == "Veronda-Westmann":
+        W1, W2 = c["c1"] * c["c2"] * np.exp(c["c2"] * (I1 - 3.0)), -0.5 * c["c1"] * c["c2"]
+        stress = 2.0 / J * (B * (W1 + W2 * I1) - W2 * B**2)
     elif kind == "Yeoh":
         stress = 2.0 / J * B * sum(c.get(f"c{i}", 0.0) * (I1 - 3.0)**(i - 1) for i in range(1, 7))
     else:
@@ -57,7 +63,7 @@ def stress_of_text(text, stretches, relaxed=None):
 
 @pytest.mark.parametrize("units", UNIT_SYSTEMS)
 @pytest.mark.parametrize("bulk", BULKS, ids=lambda bulk: bulk.kind)
-@pytest.mark.parametrize("law", PARAMETERS)
+@pytest.mark.parametrize("law", LAWS["febio"])
 def test_stresses_of_the_text_are_ours(law, bulk, units):
     """Uniaxial stretch with lateral stretches that change the volume by up to 1 %."""
     material = ts.Material(law, PARAMETERS[law], bulk, name="gel")
@@ -73,7 +79,7 @@ def test_stresses_of_the_text_are_ours(law, bulk, units):
 
 
 @pytest.mark.parametrize("moduli", ["instantaneous", "long_term"])
-@pytest.mark.parametrize("law", ["reduced_polynomial_2", "biderman", "ogden_2"])
+@pytest.mark.parametrize("law", ["reduced_polynomial_2", "biderman", "ogden_2", "gent", "fung_demiray"])
 def test_relaxation_of_the_text_is_ours(law, moduli):
     series = ts.Prony(TERMS, moduli)
     material = ts.Material(law, PARAMETERS[law], ts.Bulk("K_Pa", 4.3e6), name="gel", viscoelastic=series)
@@ -99,6 +105,16 @@ def test_remarks_are_valid_comments():
     text = FEBIO.write(ts.exports.ExportContent((ts.Material("neo_hooke", {"C10": 1500.0}),),
                                                 remarks=("force error with --match 2 %",)))
     assert "with - -match 2 %" in text and ElementTree.fromstring(text).tag == "febio_spec"
+
+
+def test_the_series_of_febio_is_another_one():
+    """W1 = mu sum of i^2 C_i (I1/N)^(i - 1) in FEArrudaBoyce.cpp, and mu sum of i C_i (I1/lambda_m^2)^(i - 1) here."""
+    with pytest.raises(ts.InputError, match="the law 'arruda_boyce': the stress of its type Arruda-Boyce"):
+        write(FEBIO, ts.Material("arruda_boyce", PARAMETERS["arruda_boyce"]))
+
+
+def test_the_tangent_of_gent_is_remarked():
+    assert "converges slowly" in " ".join(write(FEBIO, ts.Material("gent", PARAMETERS["gent"])).split())
 
 
 def document(*lines, kind="Mooney-Rivlin", attributes=""):
@@ -145,6 +161,10 @@ def test_a_document_of_febio_studio():
               kind="uncoupled viscoelastic"), "line 3: g: must be a fraction"),
     (document("<k>1</k>", '<solid type="Ogden"><c1>1</c1></solid>', kind="uncoupled solid mixture"),
      "line 5: the type 'Ogden' in a mixture"),
+    (document("<k>1</k>", '<solid type="Veronda-Westmann"><c1>2</c1><c2>3</c2></solid>',
+              kind="uncoupled solid mixture"), "line 3: the type Veronda-Westmann must be added .* c2 = 3, which"),
+    (document("<k>1</k><c1>2</c1><c2>3</c2>", kind="Veronda-Westmann"), "line 3: the type 'Veronda-Westmann' of"),
+    (document("<k>1</k><mu>2</mu><N>3</N>", kind="Arruda-Boyce"), "line 3: the type 'Arruda-Boyce' of"),
     (document("<k>1</k>", '<solid type="uncoupled solid mixture"/>', kind="uncoupled solid mixture"),
      "line 5: a mixture must not contain mixtures"),
     (document("<k>1</k>", attributes=' from="b.feb"'), "line 3: the attribute from"),
