@@ -33,6 +33,7 @@ from calibration.statistics.adequacy import (
 )
 from calibration.statistics.jitter import ContactAndForceZeroJitter
 from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.laws import LAWS
 
 #: Largest difference of the displacements of corresponding samples of two recordings, as a fraction of the largest
 #: displacement.
@@ -46,7 +47,7 @@ def make_one_law_whole_recording_campaign(campaign: Campaign, law: str | None = 
 
     Args:
         campaign: campaign of an inverse fit.
-        law: name of the law; None: the first law of the campaign.
+        law: name or alias of the law; None: the first law of the campaign.
 
     Raises:
         InputError: the campaign is analytical, or does not list the law.
@@ -54,6 +55,7 @@ def make_one_law_whole_recording_campaign(campaign: Campaign, law: str | None = 
     if campaign.fit.method != "inverse_fem":
         raise InputError(f'method must be "inverse_fem" for a diagnosis, which simulates the tests; got '
                          f'"{campaign.fit.method}". Set method = "inverse_fem"', file=campaign.path, field="fit.method")
+    law = None if law is None else LAWS.get_name_of_alias(law)
     if law is not None and law not in campaign.fit.laws:
         raise InputError(f"law must be one of the laws of the campaign ({', '.join(campaign.fit.laws)}); got {law!r}. "
                          "Choose one of these laws, or add the law to fit.laws", file=campaign.path, field="fit.laws")

@@ -153,9 +153,8 @@ def _make_import_options(arguments):
             raise InputError(f"the sign of {channel} must be 1 or -1; got {sign:g}", field="--sign")
     if arguments.format is not None:
         FORMATS.find(arguments.format, "--format")
-    laws = None if arguments.laws is None else tuple(name.strip() for name in arguments.laws.split(","))
-    for law in laws or ():
-        LAWS.find(law, "--laws")
+    laws = None if arguments.laws is None else tuple(LAWS.find(name.strip(), "--laws").name
+                                                     for name in arguments.laws.split(","))
     if arguments.radius_mm is not None and arguments.area_mm2 is not None:
         raise InputError("cannot be combined with --radius-mm. Give one of them", field="--area-mm2")
     hints = InterpretationOverrides(_parse_channel_values(arguments.column, "--column"), units,

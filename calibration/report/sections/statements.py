@@ -54,6 +54,11 @@ _REFERENCES = {
                            "Chem Technol 66:754-771"),
     "ogden": ("Ogden 1972", "Ogden RW (1972) Large deformation isotropic elasticity: on the correlation of theory and "
               "experiment for incompressible rubberlike solids. Proc R Soc Lond A 326:565-584"),
+    "gent": ("Gent 1996", "Gent AN (1996) A new constitutive relation for rubber. Rubber Chem Technol 69:59-61"),
+    "arruda_boyce": ("Arruda and Boyce 1993", "Arruda EM, Boyce MC (1993) A three-dimensional constitutive model for "
+                     "the large stretch behavior of rubber elastic materials. J Mech Phys Solids 41:389-412"),
+    "fung_demiray": ("Demiray 1972", "Demiray H (1972) A note on the elasticity of soft biological tissues. J Biomech "
+                     "5:309-311"),
     "prony": ("Simo 1987", "Simo JC (1987) On a fully three-dimensional finite-strain viscoelastic damage model. "
               "Comput Methods Appl Mech Eng 60:153-173"),
     "descent": ("Branch et al. 1999", "Branch MA, Coleman TF, Li Y (1999) A subspace, interior, and conjugate gradient "

@@ -28,8 +28,8 @@ if TYPE_CHECKING:
 def _add_new_material_flags(new: InputErrorArgumentParser) -> None:
     """Add the flags of ``material new``."""
     new.add_argument("--law", required=True,
-                     help="material law: neo_hooke, mooney_rivlin, reduced_polynomial_1 to _3 (3: yeoh), biderman, gent, "
-                     "arruda_boyce, fung_demiray, ogden_1 to _4, or a law of an installed package")
+                     help="material law: neo_hooke, mooney_rivlin, reduced_polynomial_1 to _3 (3: yeoh), biderman, "
+                     "gent, arruda_boyce, fung_demiray, ogden_1 to _4, or a law of an installed package")
     new.add_argument("--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
                      help="value of a parameter of the law, in Pa (exponents without unit); once for each parameter")
     bulk = new.add_mutually_exclusive_group()
