@@ -21,6 +21,8 @@ from tissue_sim.public_names import OldName
 
 #: Key of the declaration in the metadata of a field.
 _KEY = "tissue_sim.parameter"
+#: Key of the words of a `choice` in the metadata of a field.
+_WORDS = "tissue_sim.choice"
 #: Name or index in a path; names may be those of a file, such as ``part:1`` of a mesh.
 _TOKEN = re.compile(r"([^.\[\]]+)|\[(0|[1-9]\d{0,5})\]")
 Part = TypeVar("Part")
@@ -104,6 +106,16 @@ def parameter(symbol: str, unit: str, *, key: str, factor: float = 1.0, bounds: 
     """Make a dataclass field that is a parameter; see `Declaration`."""
     what = Declaration(symbol, unit, bounds, absent, key, factor, shapes_mesh, words or {})
     return field(default=default, metadata={_KEY: what})
+
+
+def choice(*words: str) -> Any:
+    """Make a dataclass field that is one of several words in files, the first by default; it is not a parameter."""
+    return field(default=words[0], metadata={_WORDS: words})
+
+
+def list_field_choices(kind: type) -> dict[str, tuple[str, ...]]:
+    """Return field name -> words of the fields of a dataclass that `choice` made."""
+    return {entry.name: entry.metadata[_WORDS] for entry in fields(kind) if _WORDS in entry.metadata}
 
 
 def get_field_declaration(entry: Field) -> Declaration | None:

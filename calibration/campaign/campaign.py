@@ -48,6 +48,7 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
+from tissue_sim.material.softening import SofteningForm
 from tissue_sim.rig.rig import Rig
 from tissue_sim.settings import make_shallow_read_only_copy
 from tissue_sim.specimen import Specimen
@@ -127,6 +128,7 @@ class FitSettings:
         fixed: fixed values by path, SI; they also define the parts of the material.
         prior: (mean, standard deviation) by path, SI.
         bounds: (low, high) by path, SI.
+        softening_form: form of the softening on first load, see `tissue_sim.material.softening.Softening`.
     """
 
     laws: tuple[str, ...]
@@ -146,6 +148,7 @@ class FitSettings:
     fixed: Mapping[str, float] = field(default_factory=_freeze_mapping)
     prior: Mapping[str, tuple[float, float]] = field(default_factory=_freeze_mapping)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=_freeze_mapping)
+    softening_form: SofteningForm = "tanh"
 
     @property
     def stated_non_law_parameter_paths(self) -> tuple[str, ...]:
@@ -376,7 +379,8 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
         offset_bound=OFFSET_DEFAULTS.contact_bound if table.offset_bounds_mm is None else table.offset_bounds_mm * 1e-3,
         zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points, method=table.method,
         starts=table.starts or DEFAULT_STARTS, named=_freeze_mapping(by_path), start=_freeze_mapping(start),
-        fixed=_freeze_mapping(fixed), prior=_freeze_mapping(prior), bounds=_freeze_mapping(bounds))
+        fixed=_freeze_mapping(fixed), prior=_freeze_mapping(prior), bounds=_freeze_mapping(bounds),
+        softening_form=table.softening_form)
 
 
 def _convert_noise_table_to_si(table: NoiseTable, method: str) -> Noise:

@@ -14,7 +14,14 @@ from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TES
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import find_law
-from tissue_sim.material.material import Bulk, Material, get_law_parameter_declaration, make_material_from_numbers
+from tissue_sim.material.material import (
+    Bulk,
+    Material,
+    get_law_parameter_declaration,
+    make_material_from_numbers,
+    with_softening_form,
+)
+from tissue_sim.material.softening import SofteningForm
 from tissue_sim.model import Model
 from tissue_sim.parameters import Declaration, make_display_symbol_of_parameter, with_values
 from tissue_sim.rig.rig import Rig
@@ -103,6 +110,7 @@ class ParameterSpace:
     prior_mean: np.ndarray
     prior_deviation: np.ndarray
     bulk: Bulk
+    softening_form: SofteningForm = "tanh"
     law_starts: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
 
     @classmethod
@@ -130,7 +138,7 @@ class ParameterSpace:
         prior = np.array([settings.prior.get(each.path, (0.0, np.inf)) for each in free], dtype=float).reshape(-1, 2)
         start = {each.name: settings.start[each.path] for each in free if each.path in settings.start}
         return cls(law, tuple(unknowns), tuple(each.name for each in free), fixed, start, bounds[:, 0], bounds[:, 1],
-                   prior[:, 0], prior[:, 1], settings.bulk)
+                   prior[:, 0], prior[:, 1], settings.bulk, settings.softening_form)
 
     def with_ranges_of_data(self, largest_strain: float | None) -> ParameterSpace:
         """Return the space with the starts and bounds of the law's dimensionless parameters that the data give.
@@ -272,7 +280,8 @@ class ParameterSpace:
             raise InputError("scope of a parameter of the law must give each test a fitted value; got a separate value "
                              f"in {test}, which no fitted test determines. Set the scope to 'shared'.",
                              field="fit.scope")
-        return make_material_from_numbers(self.law, own, others, self.bulk, density=density, name=name)
+        material = make_material_from_numbers(self.law, own, others, self.bulk, density=density, name=name)
+        return with_softening_form(material, self.softening_form)
 
     def build_model(self, values: Mapping[str, float], experiment: Experiment, rig: Rig, *, test: str,
                     recording: str | None = None) -> Model:

@@ -16,6 +16,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import interpret_shape_or_profile_path, list_all_tool_sizes_by_key
 from tissue_sim.files import read_bytes
+from tissue_sim.material.softening import SofteningForm
 from tissue_sim.specimen import SPECIMENS, specimen_sizes, specimen_texts
 
 
@@ -155,6 +156,7 @@ class FitTable(_Table, frozen=True, kw_only=True):
     method: Literal["analytical", "inverse_fem"] = "analytical"
     laws: list[str]
     bulk_ratio: float | None = None
+    softening_form: SofteningForm = "tanh"
     offset: Literal["none", "fit"] = "none"
     offset_bounds_mm: float | None = None
     offset_prior_mm: float | None = None

@@ -1,5 +1,9 @@
 """Effects of the tissue: terms of its law, time and history dependence, layers, differences between sessions."""
 
+from collections.abc import Mapping
+from copy import copy
+from dataclasses import replace
+
 import numpy as np
 
 from calibration.effects.candidates import (
@@ -10,7 +14,9 @@ from calibration.effects.candidates import (
     require_tests,
 )
 from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError, get_experiment
-from tissue_sim.material.material import BULK_RATIOS, Bulk
+from tissue_sim.material.material import BULK_RATIOS, Bulk, with_softening_form
+from tissue_sim.material.softening import SofteningForm
+from tissue_sim.model import Model
 
 
 class I2Term(Effect):
@@ -149,6 +155,8 @@ class Softening(Effect):
     #: Trial fractions of the largest strain energy that must be released until the tissue has softened; each gives
     #: another shape of the unloading curve.
     trial_energy_fractions = (0.15, 0.4, 1.0, 3.0)
+    #: Form of the softening, see `tissue_sim.material.softening.Softening`; the campaign states it.
+    form: SofteningForm = "tanh"
 
     def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return one candidate per trial fraction of the strain energy."""
@@ -158,9 +166,16 @@ class Softening(Effect):
                       "no recording has an unloading, and softening does not change the first loading")
         loss, energy = "softening.loss", "softening.share"
         limits = 0.1 * self.trial_energy_fractions[0], 10.0 * self.trial_energy_fractions[-1]
-        return [Candidate(self, {loss: self.trial_loss}, shape={energy: fraction},
+        effect = copy(self)
+        effect.form = situation.campaign.fit.softening_form
+        return [Candidate(effect, {loss: self.trial_loss}, shape={energy: fraction},
                           bounds={loss: (0.0, self.max_loss), energy: limits})
                 for fraction in self.trial_energy_fractions]
+
+    def apply(self, model: Model, values: Mapping[str, float]) -> Model:
+        """Return the model with softening in the form of the campaign."""
+        softened = super().apply(model, values)
+        return replace(softened, material=with_softening_form(softened.material, self.form))
 
 
 class Layer(Effect):

@@ -1,5 +1,6 @@
 """Materials for FElupe: the exported code runs there, and gives our stresses and forces."""
 
+import dataclasses
 import runpy
 
 import felupe as fem
@@ -182,6 +183,34 @@ def test_variants_have_separate_materials(tmp_path):
     code = run_export(draws[0], UNIT_SYSTEMS["SI"], tmp_path, *draws[1:])
     assert [code["make_isochoric_material"](name).mu for name in code["BULK"]] == [3000.0, 3200.0, 3400.0]
     assert code["make_isochoric_material"]().mu == 3000.0
+
+
+@pytest.mark.parametrize("law", ["neo_hooke", "biderman", "ogden_2"])
+def test_softening_with_an_error_function(law, tmp_path):
+    """Loading, unloading and reloading of one cube in tension, against our closed form; K / mu0 = 1e5."""
+    soft = ts.Softening(0.4, 30.0, 0.3, "erf")
+    material = ts.Material(law, PARAMETERS[law], ts.Bulk("bulk_ratio", 1e5), softening=soft)
+    field = fem.FieldContainer([fem.Field(fem.RegionHexahedron(fem.Cube(n=2)), dim=3)])
+    boundaries = fem.dof.uniaxial(field, move=0.0, clamped=False, return_loadcase=False)
+    code = run_export(material, UNIT_SYSTEMS["mm-N-MPa"], tmp_path)
+    strain = np.array([0.2, 0.4, 0.6, 0.5, 0.3, 0.1, 0.3, 0.5, 0.7])
+    body = fem.SolidBodyNearlyIncompressible(code["make_isochoric_material"](), field, bulk=next(iter(
+        code["BULK"].values())))
+    step = fem.Step([body], ramp={boundaries["move"]: strain}, boundaries=boundaries)
+    curve = fem.CharacteristicCurve([step], boundary=boundaries["move"])
+    curve.evaluate(verbose=False, tol=1e-8)
+    ours = ts.nominal_stress_history(material, np.arange(strain.size), 1.0 + strain)
+    elastic = ts.nominal_stress_history(dataclasses.replace(material, softening=None), np.arange(strain.size),
+                                        1.0 + strain)
+    assert (ours / elastic).min() < 0.75
+    # A finite K reduces the stress by a fraction of the order of stress / K.
+    np.testing.assert_allclose(np.array(curve.y)[:, 0] * 1e6, ours, rtol=2.0 * ours.max() / material.bulk_modulus)
+
+
+def test_softening_without_a_modulus_is_refused():
+    material = ts.Material("neo_hooke", {"C10": 1500.0}, softening=ts.Softening(0.4, 0.0, 0.3, "erf"))
+    with pytest.raises(ts.InputError, match=r"softening\.modulus must be above 0"):
+        FELUPE.write(ExportContent((material,)))
 
 
 @pytest.mark.parametrize(("part", "words"), [

@@ -103,7 +103,7 @@ def test_show_prints_both_moduli_and_every_effect(relaxing, capsys):
                      "long-term E 5.6196 kPa, mu 1.8732 kPa; the parameters above are long-term values",
                      "viscoelastic (Prony series of the isochoric second piola stress): "
                      "g 0.3 +- 0.01, tau 2 s; g 0.1, tau 40 +- 4 s",
-                     "softening on first load: loss 0.4, modulus 50 Pa, fraction 1",
+                     "softening on first load: loss 0.4, modulus 50 Pa, fraction 1, form tanh",
                      "layer of 2 +- 0.1 mm: moduli multiplied by 3",
                      "drainage (poroelasticity): phi 0.2, diffusivity 0.01 mm2/s",
                      "puncture at 6 mm: the force drops by a fraction of 0.25"):

@@ -1,8 +1,9 @@
 """Keyword blocks of Abaqus: materials are written and read.
 
-Source: Abaqus Analysis User's Guide, "Hyperelastic behavior of rubberlike materials" and "Time domain viscoelasticity";
-Keywords Reference Guide, ``*HYPERELASTIC``, ``*VISCOELASTIC`` and ``*DENSITY``. The laws have the convention of the
-guide; only K is converted, to D1 = 2/K.
+Source: Abaqus Analysis User's Guide, "Hyperelastic behavior of rubberlike materials", "Time domain viscoelasticity" and
+"Mullins effect"; Keywords Reference Guide, ``*HYPERELASTIC``, ``*VISCOELASTIC``, ``*MULLINS EFFECT`` and ``*DENSITY``.
+The laws have the convention of the guide; only K is converted, to D1 = 2/K. ``*MULLINS EFFECT`` is softening of the form
+erf.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from tissue_sim.exports.target import ExportContent, ExportTarget, ImportedMater
 from tissue_sim.exports.unit_systems import UnitSystem
 from tissue_sim.laws import find_law
 from tissue_sim.material.material import Bulk, Material
+from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony, PronyTerm
 from tissue_sim.mesh.formats.keyword_blocks import KeywordBlock
 
@@ -89,12 +91,16 @@ _RELAXATION_REMARK = ("Abaqus relaxes the Kirchhoff stress in the current config
 #: Difference of the volumetric energy of the form ARRUDA-BOYCE.
 _ARRUDA_BOYCE_REMARK = ("U(J) of ARRUDA-BOYCE is K/2 ((J^2 - 1)/2 - ln J), that of tissue_sim K/2 (J - 1)^2. The "
                         "pressures differ by a fraction of 0.5 |J - 1|.")
+#: Reason why softening with relaxation is neither written nor read.
+_MULLINS_AND_RELAXATION = ("a material must not have both relaxation and softening, because *MULLINS EFFECT of Abaqus "
+                           "acts on the long-term stress and the softening of tissue_sim on the whole stress. Remove "
+                           "one of them")
 #: Value of the option MODULI without blanks -> moduli of `Prony`.
 _MODULI = {"INSTANTANEOUS": "instantaneous", "LONGTERM": "long_term"}
 
 
 class AbaqusTarget(ExportTarget):
-    """Keyword block of Abaqus: ``*MATERIAL`` with ``*HYPERELASTIC``, ``*VISCOELASTIC`` and ``*DENSITY``.
+    """Keyword block of Abaqus: ``*MATERIAL`` with its elasticity, relaxation, softening and density.
 
     The hereditary integral of Abaqus acts on the Kirchhoff stress in the current configuration, that of this package on
     the second Piola-Kirchhoff stress: relaxing forces agree to first order in the strain.
@@ -108,10 +114,11 @@ class AbaqusTarget(ExportTarget):
     title = "Abaqus"
     suffix = ".inp"
     parts = frozenset({"viscoelastic"})
-    part_remarks = {"softening": "its Mullins effect has an error function where ours has tanh"}
     laws: ClassVar[frozenset[str]] = frozenset(_WRITTEN)
+    softening_forms = frozenset({"erf"})
+    part_remarks = {"softening": "its Mullins effect is the form 'erf', an error function in place of tanh"}
     hyperelastic_options: ClassVar[frozenset[str]] = frozenset({"MODULI"})
-    readable_keywords: ClassVar[tuple[str, ...]] = ("HYPERELASTIC", "VISCOELASTIC", "DENSITY")
+    readable_keywords: ClassVar[tuple[str, ...]] = ("HYPERELASTIC", "VISCOELASTIC", "MULLINS EFFECT", "DENSITY")
 
     def write(self, content: ExportContent) -> str:
         """Return the keyword blocks of the materials."""
@@ -145,6 +152,12 @@ class AbaqusTarget(ExportTarget):
         if material.viscoelastic is not None:
             lines.append("*VISCOELASTIC, TIME=PRONY")
             lines += [f"{_format_value(term.g)}, 0, {_format_value(term.tau)}" for term in material.viscoelastic.terms]
+        soft = material.softening
+        if soft is not None and soft.loss > 0.0:
+            if material.viscoelastic is not None:
+                raise InputError(_MULLINS_AND_RELAXATION, field="to")
+            lines += ["*MULLINS EFFECT",
+                      ", ".join(map(_format_value, (1.0 / soft.loss, soft.modulus / units.stress, soft.share)))]
         if material.density is not None:
             lines += ["*DENSITY", _format_value(material.density / units.density)]
         return lines
@@ -178,6 +191,9 @@ class AbaqusTarget(ExportTarget):
         # Of Arruda and Boyce's law CalculiX takes mu for the shear modulus at rest.
         used = self.replace_absent_volumetric_values(D, values["mu"] if law.name == "arruda_boyce"
                                                      else law.mu0(values))
+        soft = self._read_softening(blocks["MULLINS EFFECT"], units) if "MULLINS EFFECT" in blocks else None
+        if soft is not None and relaxation is not None:
+            raise InputError(_MULLINS_AND_RELAXATION, line=blocks["MULLINS EFFECT"].line)
         if used != D:
             remarks.append(f"{section.name}: {self.title} replaces D_i = {', '.join(f'{d:g}' for d in D)} by "
                            f"{', '.join(f'{d:g}' for d in used)}; the material has these values.")
@@ -186,7 +202,7 @@ class AbaqusTarget(ExportTarget):
                 law.name, {name: value * (units.stress if law.units[name] == "Pa" else 1.0)
                            for name, value in values.items()},
                 _make_bulk(used, hyperelastic, units), self._read_density(blocks.get("DENSITY"), units), section.name,
-                viscoelastic=relaxation)
+                viscoelastic=relaxation, softening=soft)
         except InputError as error:
             raise InputError(error.problem, line=error.line or hyperelastic.line, field=error.field) from None
         return ImportedMaterial(material, tuple(remarks))
@@ -253,6 +269,17 @@ class AbaqusTarget(ExportTarget):
                 except InputError as error:
                     raise InputError(error.problem, line=line, field=error.field) from None
         return Prony(tuple(terms), _MODULI[stated]) if terms else None  # type: ignore[arg-type]
+
+    def _read_softening(self, block: KeywordBlock, units: UnitSystem) -> Softening:
+        """Return the softening of a keyword ``*MULLINS EFFECT`` with the numbers R, M and BETA."""
+        require_options(block, set())
+        [[r, m, beta]] = parse_data_rows(block, [3])
+        if not r > 1.0:
+            raise InputError(f"R must be above 1; got {r:g}.", line=block.row_lines[0])
+        try:
+            return Softening(1.0 / r, m * units.stress, beta, "erf")
+        except InputError as error:
+            raise InputError(error.problem, line=block.row_lines[0], field=error.field) from None
 
     def _read_density(self, block: KeywordBlock | None, units: UnitSystem) -> float | None:
         """Return the density of a keyword ``*DENSITY``, kg/m3; None without the keyword."""

@@ -28,6 +28,7 @@ class CalculixTarget(AbaqusTarget):
     verification = "run in the target"
     parts = frozenset()
     laws = AbaqusTarget.laws - {"ogden_4"}  # OGDEN has N = 1 to 3
+    softening_forms = frozenset()
     part_remarks = {"viscoelastic": "it has no keyword *VISCOELASTIC", "softening": "it has no Mullins effect"}
     incompressible_bulk_ratio = 1e4
     hyperelastic_options = frozenset()

@@ -3,7 +3,7 @@
 FElupe's ``neo_hooke``, ``mooney_rivlin``, ``yeoh``, ``third_order_deformation`` and ``ogden`` have the convention of
 this package: isochoric invariants, and 2 mu/alpha^2 in each term of Ogden. Its ``Volumetric`` and
 ``NearlyIncompressible`` have U(J) = K/2 (J - 1)^2. The energies of other laws are written out for automatic
-differentiation. Source: FElupe 11.3, ``felupe/constitution``.
+differentiation. ``OgdenRoxburgh`` is the softening of the form erf. Source: FElupe 11.3, ``felupe/constitution``.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from tissue_sim.exports.target import ExportContent, ExportTarget, format_commen
 from tissue_sim.exports.unit_systems import UnitSystem
 from tissue_sim.laws import InvariantLaw, Law, StretchLaw
 from tissue_sim.material.material import Material
+from tissue_sim.material.softening import Softening
 
 #: Functions of `tensortrax.math` that the energy of a law may use.
 _MATH = frozenset({"cos", "cosh", "exp", "log", "sin", "sinh", "sqrt", "tan", "tanh"})
@@ -43,6 +44,19 @@ def make_mixed_material(name="{first}"):
     return fem.NearlyIncompressible(make_isochoric_material(name), bulk=BULK[name])
 '''
 
+#: Name of the class of `_ENERGY_CLASS`.
+_ENERGY_CLASS_NAME = "EnergyHyperelastic"
+#: Class with the energy density that OgdenRoxburgh needs; Hyperelastic of FElupe 11 has its derivatives only.
+_ENERGY_CLASS = '''
+
+class EnergyHyperelastic(fem.Hyperelastic):
+    """Hyperelastic material with its energy density."""
+
+    def function(self, x):
+        C = fem.math.dot(fem.math.transpose(x[0]), x[0])
+        return [tr.function(self.fun, ntrax=2)(C, **self.kwargs)]
+'''
+
 _INVARIANT_ENERGY = """
 
 def {name}(C, {parameters}):
@@ -69,7 +83,8 @@ class FelupeTarget(ExportTarget):
     incompressible_bulk_ratio = 1e5
     part_remarks = {"viscoelastic": "its finite_strain_viscoelastic splits the deformation of a neo-Hookean solid, "
                                     "ours is a hereditary integral",
-                    "softening": "its Ogden-Roxburgh model has an error function where ours has tanh"}
+                    "softening": "its Ogden-Roxburgh model is the form 'erf', an error function in place of tanh"}
+    softening_forms = frozenset({"erf"})
 
     def write(self, content: ExportContent) -> str:
         """Return the code, with all materials by label."""
@@ -80,11 +95,12 @@ class FelupeTarget(ExportTarget):
             if call is None:
                 energies[material.law] = _write_energy_function(material.energy_law)
                 call = _write_call_of_energy_function(material, content.units)
-            isochoric.append(f"    {label!r}: lambda: {call},")
+            isochoric.append(f"    {label!r}: lambda: {_write_softened_call(call, material.softening, content.units)},")
             bulk.append(f"    {label!r}: {self.compute_bulk_modulus(material) / content.units.stress:.15g},")
             if material.density is not None:
                 densities.append(f"    {label!r}: {material.density / content.units.density:.15g},")
-        is_differentiated = any("Hyperelastic" in line for line in isochoric)
+        is_differentiated = any("Hyperelastic(" in line for line in isochoric)
+        has_energies = any(_ENERGY_CLASS_NAME in line for line in isochoric)
         packages = "the packages felupe and tensortrax" if is_differentiated else "the package felupe"
         tables = ["", "#: Label -> function that returns the isochoric part.", "ISOCHORIC = {", *isochoric, "}",
                   f"#: Label -> bulk modulus K, {content.units.stress_name}.", "BULK = {", *bulk, "}"]
@@ -92,8 +108,10 @@ class FelupeTarget(ExportTarget):
             tables += ["#: Label -> density in the units of this file.", "DENSITY = {", *densities, "}"]
         return (_HEADER.format(packages=packages)
                 + "".join(line + "\n" for line in format_comment_lines(self.list_file_remarks(content), "# "))
-                + "import felupe as fem\n" + _write_imports("".join(energies.values())) + "".join(energies.values())
-                + "\n" * bool(energies) + "\n".join(tables) + "\n" + _FUNCTIONS.format(first=content.labels[0]))
+                + "import felupe as fem\n" + "import tensortrax as tr\n" * has_energies
+                + _write_imports("".join(energies.values())) + _ENERGY_CLASS * has_energies
+                + "".join(energies.values()) + "\n" * (bool(energies) or has_energies) + "\n".join(tables) + "\n"
+                + _FUNCTIONS.format(first=content.labels[0]))
 
 
 def _write_call_of_own_law(material: Material, units: UnitSystem) -> str | None:
@@ -117,6 +135,22 @@ def _write_call_of_own_law(material: Material, units: UnitSystem) -> str | None:
         return None
     listed = ", ".join(f"{key}={value / units.stress:.15g}" for key, value in arguments.items())
     return f"fem.Hyperelastic(fem.{function}, {listed})"
+
+
+def _write_softened_call(call: str, softening: Softening | None, units: UnitSystem) -> str:
+    """Return the call that makes the isochoric part with softening of the form erf, from that without softening.
+
+    Raises:
+        InputError: the modulus of the softening is 0, for which FElupe divides 0 by 0 at rest.
+    """
+    if softening is None or softening.loss == 0.0:
+        return call
+    if softening.modulus == 0.0:
+        raise InputError("softening.modulus must be above 0, because FElupe divides by it at rest; got 0. Use a small "
+                         "modulus, such as 1e-6 times the shear modulus", field="to")
+    base = call.replace("fem.Hyperelastic(", f"{_ENERGY_CLASS_NAME}(")
+    return (f"fem.OgdenRoxburgh({base}, r={1.0 / softening.loss:.15g}, m={softening.modulus / units.stress:.15g}, "
+            f"beta={softening.share:.15g})")
 
 
 def _write_energy_function(law: Law) -> str:

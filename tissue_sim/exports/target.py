@@ -79,7 +79,8 @@ class ExportTarget(ABC):
             to a test without the program.
         writes_mesh: whether the file contains `ExportContent.mesh`.
         max_poisson: largest Poisson's ratio of `ExportContent.constants` that the program accepts, 1.
-        parts: of ``"viscoelastic"`` and ``"softening"``, the parts of a material that the program has.
+        parts: ``"viscoelastic"`` if the program has a Prony series.
+        softening_forms: forms of softening that the program has, see `tissue_sim.material.softening.Softening`.
         part_remarks: name of a missing part -> the difference between the program and this package, for the message.
         unit_systems: names of the unit systems in which the file can be written.
         incompressible_bulk_ratio: K / mu0 with which an incompressible material is written; infinite for a program with
@@ -94,6 +95,7 @@ class ExportTarget(ABC):
     writes_mesh: ClassVar[bool] = False
     max_poisson: ClassVar[float] = 0.49
     parts: ClassVar[frozenset[str]] = frozenset()
+    softening_forms: ClassVar[frozenset[str]] = frozenset()
     part_remarks: ClassVar[Mapping[str, str]] = {}
     unit_systems: ClassVar[tuple[str, ...]] = tuple(UNIT_SYSTEMS)
     incompressible_bulk_ratio: ClassVar[float] = math.inf
@@ -152,11 +154,14 @@ class ExportTarget(ABC):
 
         Raises:
             InputError: the material has layers, regions, drainage, puncture, further effects, or relaxation or
-                softening that are not in `parts`.
+                softening that are not in `parts` and `softening_forms`.
         """
         named = {"viscoelastic": "relaxation (a Prony series)", "softening": "softening on first load"}
-        missing = {f"{name} ({self.part_remarks[part]})" if part in self.part_remarks else name:
-                   part not in self.parts and getattr(material, part) is not None for part, name in named.items()}
+        soft = material.softening
+        is_missing = {"viscoelastic": "viscoelastic" not in self.parts and material.viscoelastic is not None,
+                      "softening": soft is not None and soft.form not in self.softening_forms}
+        missing = {f"{name} ({self.part_remarks[part]})" if part in self.part_remarks else name: is_missing[part]
+                   for part, name in named.items()}
         missing |= {"layers in a material": bool(material.layers),
                     "regions in a material (export each by itself)": bool(material.regions),
                     "drainage in this form": material.poroelasticity is not None,

@@ -25,6 +25,7 @@ from tissue_sim.material.file import (
     make_material_file_from_json_data,
 )
 from tissue_sim.material.material import Material
+from tissue_sim.material.softening import SOFTENING_FORMS
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.mesh.tetrahedral import make_tetrahedral_mesh
 
@@ -54,7 +55,8 @@ class UsdTarget(ExportTarget):
     uses_elastic_constants = True
     writes_mesh = True
     has_neo_hookean_law = True  # of its readers: USD states no law
-    parts = frozenset(_PARTS)
+    parts = frozenset({"viscoelastic"})
+    softening_forms = frozenset(SOFTENING_FORMS)
 
     def write(self, content: ExportContent) -> str:
         """Return the text of the stage.

@@ -17,7 +17,7 @@ from tissue_sim.fem.taichi.array_tables import ArrayLayout, real_array_type
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.trace import TRIED, FormulaClassAndConstants, wrap_as_traced_numbers
 from tissue_sim.material.effect import PointEffect, TissueEffect
-from tissue_sim.material.softening import Softening
+from tissue_sim.material.softening import SOFTENING_FORMS, Softening
 from tissue_sim.material.viscoelasticity import Prony
 
 #: Longest time step that is passed to a formula, s, because kernels have no infinity.
@@ -151,10 +151,17 @@ class RelaxationSofteningCoefficient(IntEnum):
     FACTOR = 0
     #: Fraction of a stress increment of this step that acts at once, 1; see `Prony.increment`.
     INSTANT = 1
-    #: Parameters of `Softening`: loss (1), modulus (Pa) and share (1).
+    #: Parameters of `Softening`: loss (1), modulus (Pa), share (1), and the index of its form in `SOFTENING_FORMS`.
     LOSS = 2
     LOSS_MODULUS = 3
     LOSS_SHARE = 4
+    FORM = 5
+
+
+def get_softening_coefficients(softening: Softening | None) -> np.ndarray:
+    """Return the entries of `MaterialMemory.past` from `RelaxationSofteningCoefficient.LOSS` on; None: no softening."""
+    return np.array((0.0, 1.0, 0.0, 0.0) if softening is None else (
+        softening.loss, softening.modulus, softening.share, SOFTENING_FORMS.index(softening.form)))
 
 
 #: Coefficients of the law, and the arrays of `MaterialMemory`.
@@ -174,7 +181,7 @@ class MaterialMemory:
         components: number of components of a symmetric tensor.
 
     Attributes:
-        past: coefficients of the stresses in this step, see `RelaxationSofteningCoefficient`, shape (5,).
+        past: coefficients of the stresses in this step, see `RelaxationSofteningCoefficient`, shape (6,).
         inherited: contribution of earlier steps to the isochoric second Piola-Kirchhoff stress, Pa, shape
             (elements, q, components).
         largest: largest isochoric energy density so far, J/m3, shape (elements, q).
@@ -208,9 +215,7 @@ class MaterialMemory:
         if len(self.internal) != terms:
             self.internal = allocate_array((terms, *self.stresses.shape))
         self.past[RelaxationSofteningCoefficient.FACTOR] = factor
-        self.past[[RelaxationSofteningCoefficient.LOSS, RelaxationSofteningCoefficient.LOSS_MODULUS,
-                   RelaxationSofteningCoefficient.LOSS_SHARE]] = (
-            (0.0, 1.0, 0.0) if softening is None else (softening.loss, softening.modulus, softening.share))
+        self.past[RelaxationSofteningCoefficient.LOSS:] = get_softening_coefficients(softening)
         self.works = relaxation is not None or softening is not None
         if relaxation is None:
             self.inherited[:] = 0.0

@@ -18,7 +18,7 @@ from tissue_sim.errors import InputError, located_and_converted_errors, make_hin
 from tissue_sim.laws import LAWS, Law, find_law
 from tissue_sim.material.effect import EFFECTS, ForceScalingEffect, TissueEffect
 from tissue_sim.material.force_scaling import Puncture
-from tissue_sim.material.softening import Softening
+from tissue_sim.material.softening import Softening, SofteningForm
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Poroelasticity, Prony, PronyTerm
 from tissue_sim.parameters import (
     Declaration,
@@ -430,6 +430,12 @@ def make_material_from_numbers(law: str, parameters: Mapping[str, float], others
     return Material(law, parameters, response, layers=tuple(_make_components_in_index_order(terms, "layers")),
                     effects=added, regions={name: _make_region_material_by_parameter_names(name, numbers, response)
                                             for name, numbers in regions.items()}, **parts, **options)
+
+
+def with_softening_form(material: Material, form: SofteningForm) -> Material:
+    """Return a copy of a material whose softening has the form ``"tanh"`` or ``"erf"``; unchanged without softening."""
+    soft = material.softening
+    return material if soft is None else replace(material, softening=replace(soft, form=form))
 
 
 def with_changed_or_added_parameters(material: Material, values: Mapping[str, float]) -> Material:

@@ -21,7 +21,7 @@ from tissue_sim.material.force_scaling import Puncture
 from tissue_sim.material.material import Bulk, Layer, Material
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import FORM, Poroelasticity, Prony, PronyTerm
-from tissue_sim.parameters import list_field_declarations, make_from_file_values
+from tissue_sim.parameters import list_field_choices, list_field_declarations, make_from_file_values
 from tissue_sim.units import UNITS, get_si_factor_and_offset
 
 #: Lowest and highest value.
@@ -174,7 +174,8 @@ class ComponentEntry(MaterialFileEntry, frozen=True, kw_only=True):
         known = list_field_declarations(cls.noun).items()
         mine = {what.key: errors[f"{place}.{name}"] / what.factor for name, what in known
                 if f"{place}.{name}" in errors}
-        return cls(**{what.key: getattr(part, name) / what.factor for name, what in known}, standard_errors=mine)
+        return cls(**{what.key: getattr(part, name) / what.factor for name, what in known},
+                   **{name: getattr(part, name) for name in list_field_choices(cls.noun)}, standard_errors=mine)
 
     def make_component(self, field: str) -> Any:
         """Make the component of a material from the entry, in SI.
@@ -193,13 +194,15 @@ class ComponentEntry(MaterialFileEntry, frozen=True, kw_only=True):
             if error < 0:
                 raise InputError(f"must be a standard deviation of 0 or more; got {error:g}.",
                                  field=f"{field}.standard_errors.{key}")
-        return make_from_file_values(self.noun, {key: getattr(self, key) for key in keys}, field)
+        return make_from_file_values(self.noun, {key: getattr(self, key) for key in keys}, field,
+                                     **{name: getattr(self, name) for name in list_field_choices(self.noun)})
 
 
 @cache
 def make_entry_class(noun: type) -> type[ComponentEntry]:
-    """Make the msgspec class of the file entry of a component: one key for each parameter that the class declares."""
-    keys: list[tuple[str, type] | tuple[str, type, Any]] = []
+    """Make the msgspec class of the file entry of a component: one key for each declared parameter and choice."""
+    keys: list[tuple[str, Any] | tuple[str, Any, Any]] = [
+        (name, Literal[words], words[0]) for name, words in list_field_choices(noun).items()]
     for entry in fields(noun):
         what = list_field_declarations(noun).get(entry.name)
         if what is not None:

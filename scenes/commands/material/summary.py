@@ -133,7 +133,7 @@ def list_effect_and_region_lines(summary: dict[str, Any]) -> list[str]:
     if soft := summary["softening"]:
         lines.append(f"softening on first load: loss {_format_with_error(soft, 'loss')}, "
                      f"modulus {_format_with_error(soft, 'modulus_Pa', 0.0)} Pa, "
-                     f"fraction {_format_with_error(soft, 'share', 1.0)}")
+                     f"fraction {_format_with_error(soft, 'share', 1.0)}, form {soft.get('form', 'tanh')}")
     lines += [f"layer of {_format_with_error(layer, 'thickness_mm')} mm: moduli multiplied by "
               f"{_format_with_error(layer, 'modulus_ratio')}" for layer in summary["layers"] or ()]
     if pores := summary["poroelasticity"]:

@@ -10,6 +10,7 @@ from virtual_campaign import TESTS, measured_campaign, model_of, situation_of
 
 import calibration.effects
 import tissue_sim as ts
+from calibration.campaign.parameter_space import ParameterSpace
 from calibration.effects.effect import CATALOGUE, CATEGORIES, NotTestableError
 
 #: Names of the effects in files and reports.
@@ -157,6 +158,17 @@ class TestRefusals:
         candidate, = candidates(replace(plain.situation, law=law), "strain_stiffening")
         assert set(candidate.sizes) == {path}
 
+    def test_softening_has_the_form_of_the_campaign(self, plain):
+        for form in ("tanh", "erf"):
+            fit = replace(plain.campaign.fit, softening_form=form)
+            situation = replace(plain.situation, campaign=replace(plain.campaign, fit=fit))
+            candidate = candidates(situation, "softening")[0]
+            model = candidate.effect.apply(model_of("needle", points=3), {**candidate.sizes, **candidate.shape})
+            assert model.material.softening.form == form
+            space = ParameterSpace.from_campaign("neo_hooke", candidate.add_to_campaign(situation.campaign, free=True))
+            values = {"C10": 1500.0, **candidate.sizes, **candidate.shape}
+            assert space.build_material(values).softening.form == form
+
     def test_parameter_that_the_campaign_fits_is_refused(self, tmp_path):
         path = measured_campaign(tmp_path, tests={"plates": TESTS["plates"]})
         text = path.read_text(encoding="utf-8").replace("C20 = 700.0", 'C20 = 700.0, "rig.compliance" = 1e-6')
@@ -195,6 +207,18 @@ def test_campaign_states_slip(tmp_path):
     with pytest.raises(ts.InputError, match=r"a fraction from 0 to 1; got 1\.1") as caught:
         situation_of(path)
     assert caught.value.field == "test[0].slip"
+
+
+def test_campaign_states_the_form_of_softening(tmp_path):
+    path = measured_campaign(tmp_path, tests={"glued": TESTS["glued"]})
+    assert situation_of(path).campaign.fit.softening_form == "tanh"
+    text = path.read_text(encoding="utf-8")
+    path.write_text(text.replace("[fit]", '[fit]\nsoftening_form = "erf"'), encoding="utf-8")
+    assert situation_of(path).campaign.fit.softening_form == "erf"
+    path.write_text(text.replace("[fit]", '[fit]\nsoftening_form = "exp"'), encoding="utf-8")
+    with pytest.raises(ts.InputError) as caught:
+        situation_of(path)
+    assert caught.value.field == "fit.softening_form"
 
 
 def test_bulk_modulus_scales_by_its_inverse(plain):

@@ -1,5 +1,6 @@
 """Keyword blocks of Abaqus: the written text, and cards of other programs."""
 
+import dataclasses
 import re
 
 import numpy as np
@@ -145,6 +146,22 @@ def test_parts_without_a_form_are_refused(part, words):
         write(ABAQUS, ts.Material("neo_hooke", {"C10": 1500.0}, **part))
 
 
+@pytest.mark.parametrize(("units", "row"), [("SI", "2.5, 50, 0.1"), ("mm-N-MPa", "2.5, 5e-05, 0.1")])
+def test_softening_with_an_error_function(units, row):
+    """Keywords Reference Guide, *MULLINS EFFECT: the data are r, m (stress) and beta."""
+    material = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("K_Pa", 4e6), softening=ts.Softening(
+        0.4, 50.0, 0.1, "erf"))
+    text = write(ABAQUS, material, units)
+    assert f"*MULLINS EFFECT\n{row}\n" in text
+    again, = ABAQUS.read(text, UNIT_SYSTEMS[units])
+    assert again.material.softening.form == "erf"
+    assert dataclasses.astuple(again.material.softening)[:3] == pytest.approx((0.4, 50.0, 0.1), rel=1e-12)
+    assert "MULLINS" not in write(ABAQUS, dataclasses.replace(material, softening=ts.Softening(0.0, form="erf")))
+    relaxing = dataclasses.replace(material, viscoelastic=ts.Prony(TERMS))
+    with pytest.raises(ts.InputError, match="long-term stress"):
+        write(ABAQUS, relaxing)
+
+
 def test_a_material_of_a_whole_model():
     units = UNIT_SYSTEMS["mm-N-MPa"]
     sections = ABAQUS.split_materials(MODEL)
@@ -200,7 +217,12 @@ def test_the_default_of_moduli_is_long_term():
     (card(", YEOH", "1, 2, 3, 0.5, 0.1, 0"), "line 2: D2 must be absent"),
     (card(", YEOH", "1, 2, 3, 0, 0.1, 0"), "line 2: D1 must be positive"),
     (card(", NEO HOOKE", "1, 0", more="*EXPANSION\n1e-5"), r"line 4: \*EXPANSION in material GEL cannot"),
-    (card(", NEO HOOKE", "1, 0", more="*MULLINS EFFECT\n1, 2, 3"), r"line 4: \*MULLINS EFFECT"),
+    (card(", NEO HOOKE", "1, 0", more="*PERMANENT SET"), r"line 4: \*PERMANENT SET in material GEL cannot"),
+    (card(", NEO HOOKE", "1, 0", more="*MULLINS EFFECT\n1, 2, 3"), "line 5: R must be above 1; got 1"),
+    (card(", NEO HOOKE", "1, 0", more="*MULLINS EFFECT\n2, 0, 0"), "line 5: modulus: modulus and share must not both"),
+    (card(", NEO HOOKE", "1, 0", more="*MULLINS EFFECT, USER\n2, 1, 0"), "line 4: the option USER"),
+    (card(", NEO HOOKE", "1, 0", more="*VISCOELASTIC, TIME=PRONY\n0.3, 0, 2\n*MULLINS EFFECT\n2, 1, 0"),
+     "line 6: a material must not have both relaxation and softening"),
     (card(", NEO HOOKE", "1, 0", more="*UNKNOWN KEYWORD"), r"line 4: \*UNKNOWN KEYWORD"),
     (card(", NEO HOOKE", "1, 0", more="*PLASTIC,"), "line 4: a keyword line that ends with a comma"),
     (card(", NEO HOOKE", "1, 0", more="*DENSITY\n-1"), "density_kg_m3: must be positive"),

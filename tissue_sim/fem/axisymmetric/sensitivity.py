@@ -14,7 +14,11 @@ from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
 from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
 from tissue_sim.fem.axisymmetric.sensitivity_kernel import make_force_and_state_sensitivity_kernels
 from tissue_sim.fem.axisymmetric.shape_sensitivity import ShapeDerivative, add_shape_derivatives
-from tissue_sim.fem.history import RelaxationSofteningCoefficient, shift_points_from_softening_kink
+from tissue_sim.fem.history import (
+    RelaxationSofteningCoefficient,
+    get_softening_coefficients,
+    shift_points_from_softening_kink,
+)
 from tissue_sim.fem.solver import ExperimentDerivatives, Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
@@ -118,9 +122,8 @@ class MaterialSensitivity:
                 up), equations.compute_law_coefficients_and_moduli(down)
             for rate, more, less in zip(rates, above, below, strict=True):
                 rate[k] = (np.asarray(more) - np.asarray(less)) / width
-            softer = [np.array([0.0, 1.0, 0.0] if s is None else [s.loss, s.modulus, s.share])
-                      for s in (up.softening, down.softening)]
-            self._past_rates[k, RelaxationSofteningCoefficient.LOSS:] = (softer[0] - softer[1]) / width
+            self._past_rates[k, RelaxationSofteningCoefficient.LOSS:] = (
+                get_softening_coefficients(up.softening) - get_softening_coefficients(down.softening)) / width
         coefficient_rates, kappa_rates, self._past_rates[:, RelaxationSofteningCoefficient.FACTOR], moduli_rates = rates
         self._which[SensitivityControlIndex.LAYERED] = moduli_rates.any()
         self._which[SensitivityControlIndex.SOFTENS] = (equations.memory.past[RelaxationSofteningCoefficient.LOSS] != 0

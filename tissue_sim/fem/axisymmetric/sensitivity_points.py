@@ -17,7 +17,8 @@ from tissue_sim.fem.axisymmetric.array_layouts import (
 )
 from tissue_sim.fem.axisymmetric.assembly import make_condensation_functions
 from tissue_sim.fem.axisymmetric.energy import AT, get_axisymmetric_scratch_field, make_kinematic_functions
-from tissue_sim.fem.elements.energy import make_inverse_cube_root_function, make_softening_function
+from tissue_sim.fem.elements.energy import make_inverse_cube_root_function
+from tissue_sim.fem.elements.softening import make_softening_function, make_softening_shape_function
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.taichi.runtime import LANES, get_initialised_taichi
 from tissue_sim.laws import KernelEnergy
@@ -66,7 +67,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
     add_pressure_terms = point.make_pressure_term_function()
     stress_rate = point.make_stress_function(build_directional_derivative_energy(energy), tangents=False)
     inverse_cube_root = make_inverse_cube_root_function()
-    apply_softening = make_softening_function(5)
+    apply_softening, evaluate_softening_shape = make_softening_function(5), make_softening_shape_function()
     UR, UZ, FR, FZ, RATE = AT["UR"], AT["UZ"], AT["FR"], AT["FZ"], AT["STRESS"]
     LAW, ENERGY_RATE, PAST, BEFORE, CHANGE = (AT[name] for name in ("LAW", "ENERGY_RATE", "PAST", "BEFORE", "CHANGE"))
     row = point.PLACE
@@ -130,7 +131,8 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                         f * W, gather_point_value_per_lane(tissue.largest, elements.numbers, b, q),
                         tissue.past[RelaxationSofteningCoefficient.LOSS],
                         tissue.past[RelaxationSofteningCoefficient.LOSS_MODULUS],
-                        tissue.past[RelaxationSofteningCoefficient.LOSS_SHARE], [f * P[i] for i in ti.static(range(5))],
+                        tissue.past[RelaxationSofteningCoefficient.LOSS_SHARE],
+                        tissue.past[RelaxationSofteningCoefficient.FORM], [f * P[i] for i in ti.static(range(5))],
                         [f * A[n] for n in ti.static(range(15))])
                     for i in ti.static(range(5)):
                         s[at + ScratchRecordOffset.SOFT_STRESS + i] = P1[i]
@@ -209,11 +211,12 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
             width_rate = (rates.past_rates[k, RelaxationSofteningCoefficient.LOSS_MODULUS]
                           + rates.past_rates[k, RelaxationSofteningCoefficient.LOSS_SHARE] * L
                           + tissue.past[RelaxationSofteningCoefficient.LOSS_SHARE] * dL)
-            bend = ti.tanh(ti.max(L - W, 0.0) / width)
+            bend, bend_slope = evaluate_softening_shape(ti.max(L - W, 0.0) / width,
+                                                        tissue.past[RelaxationSofteningCoefficient.FORM])
             argument_rate = (dL - dW - (L - W) * width_rate / width) / width
             loss, loss_rate = tissue.past[RelaxationSofteningCoefficient.LOSS], rates.past_rates[
                 k, RelaxationSofteningCoefficient.LOSS]
-            eta_rate = ti.select(W < L, -loss_rate * bend - loss * (1.0 - bend * bend) * argument_rate, 0.0 * W)
+            eta_rate = ti.select(W < L, -loss_rate * bend - loss * bend_slope * argument_rate, 0.0 * W)
             for i in ti.static(range(5)):
                 s[at + i] = ((1.0 - tissue.past[RelaxationSofteningCoefficient.LOSS] * bend) * s[at + i]
                              + eta_rate * s[noted + ScratchRecordOffset.STRESS + i])

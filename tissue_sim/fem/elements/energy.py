@@ -208,30 +208,3 @@ def make_inverse_cube_root_function():
 def list_lower_triangle_index_pairs(size: int) -> tuple[tuple[int, int], ...]:
     """Return row and column of each entry of a symmetric matrix in packed storage: lower triangle, row by row."""
     return tuple((m, n) for m in range(size) for n in range(m + 1))
-
-
-@cache
-def make_softening_function(size: int):
-    """Return the Taichi function ``apply_softening(W, largest, loss, modulus, share, P, A) -> (P, A)``.
-
-    Args:
-        size: number of stress components P; A is the tangent in packed storage, see `list_lower_triangle_index_pairs`.
-    """
-    ti = get_initialised_taichi()
-    entries = list_lower_triangle_index_pairs(size)
-
-    @ti.func
-    def apply_softening(W, largest, loss, modulus, share, P, A):
-        """Multiply stress and tangent by the softening factor eta at a point that had a larger energy density before.
-
-        eta = 1 - loss tanh((largest - W) / (modulus + share largest)). Source: Dorfmann and Ogden, IJSS 40 (2003) 2699.
-        """
-        width = ti.max(modulus + share * largest, 1e-300)  # not zero at rest
-        bend = ti.tanh(ti.max(largest - W, 0.0) / width)
-        eta = 1.0 - loss * bend
-        slope = ti.select(largest > W, loss * (1.0 - bend * bend) / width, 0.0 * W)
-        tangent = [eta * A[n] + slope * P[ti.static(entries[n][0])] * P[ti.static(entries[n][1])]
-                   for n in ti.static(range(len(entries)))]
-        return [eta * P[i] for i in ti.static(range(size))], tangent
-
-    return apply_softening

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import cache
 
-from tissue_sim.fem.elements.energy import make_softening_function
+from tissue_sim.fem.elements.softening import make_softening_function
 from tissue_sim.fem.history import RelaxationSofteningCoefficient
 from tissue_sim.fem.taichi.runtime import LANES, get_initialised_taichi
 
@@ -38,7 +38,8 @@ def make_history_function(size: int, components: int, make_relaxation_function: 
             most = ti.Vector([material.largest[elements.numbers[b][l], q] for l in ti.static(range(LANES))])
             P2, A2 = apply_softening(energy, most, material.past[RelaxationSofteningCoefficient.LOSS],
                                      material.past[RelaxationSofteningCoefficient.LOSS_MODULUS],
-                                     material.past[RelaxationSofteningCoefficient.LOSS_SHARE], P1, A1)
+                                     material.past[RelaxationSofteningCoefficient.LOSS_SHARE],
+                                     material.past[RelaxationSofteningCoefficient.FORM], P1, A1)
             for i in ti.static(range(size)):
                 P1[i] = P2[i]
             for n in ti.static(range(entries)):

@@ -30,7 +30,7 @@ class HistoryDerivatives:
 
     Args:
         memory: history of the elements of the material.
-        past_rates: derivatives of `MaterialMemory.past`, shape (m, 5).
+        past_rates: derivatives of `MaterialMemory.past`, shape (m, 6).
         relaxations: for each parameter the relaxing terms with the parameter increased and decreased.
         widths: differences of the two parameter values, shape (m,).
 
