@@ -1,9 +1,9 @@
 """Keyword blocks of Abaqus: materials are written and read.
 
 Source: Abaqus Analysis User's Guide, "Hyperelastic behavior of rubberlike materials", "Time domain viscoelasticity" and
-"Mullins effect"; Keywords Reference Guide, ``*HYPERELASTIC``, ``*VISCOELASTIC``, ``*MULLINS EFFECT`` and ``*DENSITY``.
-The laws have the convention of the guide; only K is converted, to D1 = 2/K. ``*MULLINS EFFECT`` is softening of the form
-erf.
+"Mullins effect"; Keywords Reference Guide, ``*HYPERELASTIC``, ``*VISCOELASTIC``, ``*MULLINS EFFECT``, ``*DENSITY``.
+The laws have the convention of the guide; only K is converted, to D1 = 2/K. ``*MULLINS EFFECT`` is softening
+of the form erf.
 """
 
 from __future__ import annotations
