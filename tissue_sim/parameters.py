@@ -108,13 +108,13 @@ def parameter(symbol: str, unit: str, *, key: str, factor: float = 1.0, bounds: 
     return field(default=default, metadata={_KEY: what})
 
 
-def choice(*words: str) -> Any:
-    """Make a dataclass field that is one of several words in files, the first by default; it is not a parameter."""
+def choice(*words: str | int) -> Any:
+    """Make a dataclass field that is one of several words or integers, the first by default; it is not a parameter."""
     return field(default=words[0], metadata={_WORDS: words})
 
 
-def list_field_choices(kind: type) -> dict[str, tuple[str, ...]]:
-    """Return field name -> words of the fields of a dataclass that `choice` made."""
+def list_field_choices(kind: type) -> dict[str, tuple[str | int, ...]]:
+    """Return field name -> words or integers of the fields of a dataclass that `choice` made."""
     return {entry.name: entry.metadata[_WORDS] for entry in fields(kind) if _WORDS in entry.metadata}
 
 

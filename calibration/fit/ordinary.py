@@ -49,7 +49,7 @@ from calibration.statistics.uncertainty import ParameterUncertainty, compute_clu
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.material.material import find_parameter_path_and_declaration
-from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
+from tissue_sim.material.viscoelasticity import RelaxationSeries
 from tissue_sim.recording.recording import Recording
 
 
@@ -331,10 +331,12 @@ class HoldDriftLimitAndShearStrain:
         max_drift: largest change of the displacement during a hold, relative to the displacement. A larger value admits
             holds whose force also follows the displacement.
         shear_strain: shear strain at which a Neo-Hookean solid is linear in floating-point precision.
+        max_terms: maximum number of Prony terms.
     """
 
     max_drift: float = 0.05
     shear_strain: float = 1e-6
+    max_terms: int = 4
 
 
 _HOLD = HoldDriftLimitAndShearStrain()
@@ -357,7 +359,7 @@ class HoldFit:
     """
 
     force: float
-    prony: Prony
+    prony: RelaxationSeries
     standard_errors: dict[str, float | None]
     RMSE: float
     status: str
@@ -373,7 +375,7 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
 
     Args:
         recording: ``time`` and ``force`` (or ``nominal stress``) of the hold, beginning with its first sample.
-        terms: number of Prony terms, 1 to 4.
+        terms: number of Prony terms, 1 to 4; a single hold determines no more.
         ramp: duration of the loading before the hold, s; the elastic force increases linearly in this time.
 
     Raises:
@@ -385,8 +387,8 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     """
     if not 0 <= ramp < np.inf:
         raise InputError(f"ramp must be 0 or positive; got {ramp:g} s", field="ramp")
-    if not 1 <= terms <= MOST_TERMS:
-        raise InputError(f"terms must be 1 to {MOST_TERMS}; got {terms}", field="terms")
+    if not 1 <= terms <= _HOLD.max_terms:
+        raise InputError(f"terms must be 1 to {_HOLD.max_terms}; got {terms}", field="terms")
     channel = "nominal stress" if "nominal stress" in recording and "force" not in recording else "force"
     force, time = recording.channel(channel), recording.time
     if "displacement" in recording and \

@@ -20,7 +20,7 @@ from tissue_sim.exports.elastic_constants import ElasticConstants, linearise_mat
 from tissue_sim.laws.stability import find_stability_range
 from tissue_sim.material.file import MaterialFile
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.material.viscoelasticity import Prony
+from tissue_sim.material.viscoelasticity import RelaxationSeries
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.parameters import get_parameter_value, with_values
@@ -170,7 +170,7 @@ class MatchedConstants(TargetComparison):
         return (*lines, *super().list_remarks())
 
 
-def compute_damping_time(series: Prony | None, duration: float) -> float:
+def compute_damping_time(series: RelaxationSeries | None, duration: float) -> float:
     """Return the damping time of a Kelvin-Voigt body with the loss factor of a Prony series, s.
 
     An elastic material has the numerical damping `MatchSettings.numerical_damping_time`.

@@ -80,7 +80,7 @@ C10 = REGION["parameters"]["C10"]
     ({"a": {**REGION, "bulk": {"K_Pa": -1.0}}}, "regions.a.bulk.K_Pa", "must be positive and finite"),
     ({"a": {**REGION, "layers": []}}, "regions.a.layers", "unknown key"),
     ({"a": {**REGION, "softning": {}}}, "regions.a.softning", "did you mean 'softening'"),
-    ({"a": {**REGION, "viscoelastic": {"terms": []}}}, "regions.a.viscoelastic.terms", "1 to 4 terms; got 0"),
+    ({"a": {**REGION, "viscoelastic": {"terms": []}}}, "regions.a.viscoelastic.terms", "1 to 13 terms; got 0"),
     ({"a": REGION, "b": {"law": "neo_hooke"}}, "regions.b.parameters", "is missing"),
     ({"v1.2": REGION}, "regions", "must not be empty or contain dots or brackets"),
     ({"": REGION}, "regions", "must not be empty"),

@@ -99,6 +99,9 @@ class FebioTarget(ExportTarget):
         outer += [_format_element("k", self.compute_bulk_modulus(material) / units.stress),
                   f"<pressure_model>{_QUADRATIC_PRESSURE}</pressure_model>"]
         if (relaxation := material.viscoelastic) is not None:
+            if len(relaxation.terms) > _MAX_TERMS:
+                raise InputError(f"{self.title} has at most {_MAX_TERMS} relaxing terms; the material has "
+                                 f"{len(relaxation.terms)}. Use fewer terms", field="to")
             is_instantaneous = relaxation.moduli == "instantaneous"
             long_term = 1.0 - relaxation.relaxing_fraction
             outer.append(_format_element("g0", long_term if is_instantaneous else 1.0))

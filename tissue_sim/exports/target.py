@@ -13,6 +13,7 @@ from typing import Any, ClassVar
 from tissue_sim.errors import InputError
 from tissue_sim.exports.elastic_constants import ElasticConstants
 from tissue_sim.exports.unit_systems import SI, UNIT_SYSTEMS, UnitSystem
+from tissue_sim.material.fractional_zener import FractionalRelaxation
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
@@ -143,10 +144,12 @@ class ExportTarget(ABC):
         return self.incompressible_bulk_ratio * material.mu0 if is_incompressible else material.bulk_modulus
 
     def list_file_remarks(self, content: ExportContent) -> tuple[str, ...]:
-        """Return the remarks of a file: its units, the remarks of the content, and a finite bulk modulus."""
+        """Return the remarks of a file: units, remarks of the content, Prony series of a model, finite K."""
         is_replaced = (self.incompressible_bulk_ratio < math.inf
                        and any(material.bulk.kind == "incompressible" for material in content.materials))
-        return (content.units.describe(), *content.remarks,
+        expansions = [FractionalRelaxation.describe_or_none(material.viscoelastic) for material in content.materials
+                      if "viscoelastic" in self.parts]
+        return (content.units.describe(), *content.remarks, *filter(None, expansions),
                 *([describe_finite_bulk_modulus(self.incompressible_bulk_ratio)] if is_replaced else ()))
 
     def require_available_parts(self, material: Material) -> None:

@@ -18,8 +18,9 @@ from tissue_sim.errors import InputError, located_and_converted_errors, make_hin
 from tissue_sim.laws import LAWS, Law, find_law
 from tissue_sim.material.effect import EFFECTS, ForceScalingEffect, TissueEffect
 from tissue_sim.material.force_scaling import Puncture
+from tissue_sim.material.fractional_zener import FractionalRelaxation, FractionalZener
 from tissue_sim.material.softening import Softening, SofteningForm
-from tissue_sim.material.viscoelasticity import MOST_TERMS, Poroelasticity, Prony, PronyTerm
+from tissue_sim.material.viscoelasticity import MOST_TERMS, Poroelasticity, Prony, PronyTerm, RelaxationSeries
 from tissue_sim.parameters import (
     Declaration,
     list_field_declarations,
@@ -136,8 +137,8 @@ class Material:
         bulk: volumetric response; it neither relaxes nor softens.
         density: kg/m3; None if unknown.
         name: name in reports.
-        viscoelastic: Prony series of the isochoric stress; its `moduli` state whether `parameters` are instantaneous or
-            long-term.
+        viscoelastic: `Prony` series or `FractionalRelaxation` of the isochoric stress; its `moduli` state whether
+            `parameters` are instantaneous or long-term.
         softening: Mullins effect.
         layers: layers from the top face downwards.
         regions: name of a region of the specimen's mesh -> material of that region; three-dimensional solvers only.
@@ -160,7 +161,7 @@ class Material:
     bulk: Bulk = field(default_factory=Bulk)
     density: float | None = None
     name: str = ""
-    viscoelastic: Prony | None = None
+    viscoelastic: RelaxationSeries | None = None
     softening: Softening | None = None
     layers: tuple[Layer, ...] = ()
     poroelasticity: Poroelasticity | None = None
@@ -342,7 +343,10 @@ def _index_effects_by_name(effects: Mapping[str, TissueEffect] | Iterable[Tissue
 
 
 #: Path -> class of the parts that a material has at most once.
-SINGLE: dict[str, type] = {"softening": Softening, "poroelasticity": Poroelasticity, "puncture": Puncture}
+SINGLE: dict[str, type] = {"softening": Softening, "poroelasticity": Poroelasticity, "puncture": Puncture,
+                           "viscoelastic.fractional_zener": FractionalZener}
+#: Message for two kinds of relaxation in one material.
+_PRONY_OR_FRACTIONAL = "must not have both Prony terms and a fractional Zener model. Remove one of them"
 #: Path -> class of the parts that a material may have several of.
 SEVERAL: dict[str, type] = {"viscoelastic.terms": PronyTerm, "layers": Layer}
 #: Path of a parameter of a region's law: name of the region, name of the parameter.
@@ -420,9 +424,13 @@ def make_material_from_numbers(law: str, parameters: Mapping[str, float], others
             case [*outer, int(index)]:
                 terms[".".join(map(str, outer))].setdefault(index, {})[str(last)] = value
             case _:
-                single.setdefault(str(place[0]), {})[str(last)] = value
+                single.setdefault(".".join(map(str, place)), {})[str(last)] = value
     parts: dict[str, Any] = {place: _make_component(SINGLE[place], place, numbers) for place, numbers in single.items()}
     prony = tuple(_make_components_in_index_order(terms, "viscoelastic.terms"))
+    if fractional := parts.pop("viscoelastic.fractional_zener", None):
+        if prony:
+            raise InputError(_PRONY_OR_FRACTIONAL, field="viscoelastic")
+        parts["viscoelastic"] = FractionalRelaxation(fractional)
     if prony:
         with located_and_converted_errors(field="viscoelastic"):
             parts["viscoelastic"] = Prony(prony)
@@ -466,10 +474,14 @@ def with_changed_or_added_parameters(material: Material, values: Mapping[str, fl
     made = make_material_from_numbers("neo_hooke", {"C10": 1.0},
                                       {renumber_path_after_existing_terms(path): value for path, value in new.items()},
                                       material.bulk)
-    changes: dict[str, Any] = {name: part for name in SINGLE if (part := getattr(made, name)) is not None}
+    changes: dict[str, Any] = {name: part for name in SINGLE if (part := getattr(made, name, None)) is not None}
     if made.viscoelastic is not None:
         series = material.viscoelastic or made.viscoelastic
-        changes["viscoelastic"] = replace(series, terms=(*several["viscoelastic.terms"], *made.viscoelastic.terms))
+        if made.viscoelastic is not series:
+            if not (isinstance(series, Prony) and isinstance(made.viscoelastic, Prony)):
+                raise InputError(_PRONY_OR_FRACTIONAL, field="viscoelastic")
+            series = replace(series, terms=(*series.terms, *made.viscoelastic.terms))
+        changes["viscoelastic"] = series
     if any(path.startswith("bulk.") for path in new):
         changes["bulk"] = made.bulk
     return replace(material, layers=(*material.layers, *made.layers), effects={**material.effects, **made.effects},

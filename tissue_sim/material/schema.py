@@ -18,9 +18,10 @@ from tissue_sim.errors import InputError, located_and_converted_errors, make_hin
 from tissue_sim.laws import find_law
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.material.force_scaling import Puncture
+from tissue_sim.material.fractional_zener import FractionalRelaxation, FractionalZener
 from tissue_sim.material.material import Bulk, Layer, Material
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import FORM, Poroelasticity, Prony, PronyTerm
+from tissue_sim.material.viscoelasticity import FORM, Poroelasticity, Prony, PronyTerm, RelaxationSeries
 from tissue_sim.parameters import list_field_choices, list_field_declarations, make_from_file_values
 from tissue_sim.units import UNITS, get_si_factor_and_offset
 
@@ -219,27 +220,40 @@ if TYPE_CHECKING:  # type checkers do not accept a class from a function as a ty
     PronyTermEntry = ComponentEntry
     PunctureEntry = ComponentEntry
     SofteningEntry = ComponentEntry
+    FractionalZenerEntry = ComponentEntry
 else:
-    SofteningEntry, LayerEntry, PoroelasticityEntry, PunctureEntry, PronyTermEntry = map(
-        make_entry_class, (Softening, Layer, Poroelasticity, Puncture, PronyTerm))
+    SofteningEntry, LayerEntry, PoroelasticityEntry, PunctureEntry, PronyTermEntry, FractionalZenerEntry = map(
+        make_entry_class, (Softening, Layer, Poroelasticity, Puncture, PronyTerm, FractionalZener))
 
 
 class ViscoelasticEntry(MaterialFileEntry, frozen=True, kw_only=True, omit_defaults=False):
-    """Prony series, see `tissue_sim.material.viscoelasticity.Prony`; the convention is always written."""
+    """Relaxation: either the `terms` of a Prony series or a fractional Zener model; the convention is always written.
 
-    terms: tuple[PronyTermEntry, ...]
+    See `tissue_sim.material.viscoelasticity.Prony` and `tissue_sim.material.fractional_zener.FractionalRelaxation`.
+    """
+
+    terms: tuple[PronyTermEntry, ...] | msgspec.UnsetType = msgspec.UNSET
+    fractional_zener: FractionalZenerEntry | msgspec.UnsetType = msgspec.UNSET
     moduli: Literal["instantaneous", "long_term"] = "instantaneous"
     form: Literal["isochoric_second_piola"] = FORM
 
     @classmethod
-    def from_component(cls, prony: Prony, place: str, errors: Mapping[str, float]) -> ViscoelasticEntry:
-        """Make the entry of a Prony series; arguments as in `ComponentEntry.from_component`."""
+    def from_component(cls, prony: RelaxationSeries, place: str, errors: Mapping[str, float]) -> ViscoelasticEntry:
+        """Make the entry of a relaxation; arguments as in `ComponentEntry.from_component`."""
+        if isinstance(prony, FractionalRelaxation):
+            return cls(moduli=prony.moduli, fractional_zener=FractionalZenerEntry.from_component(
+                prony.fractional_zener, f"{place}.fractional_zener", errors))
         terms = (PronyTermEntry.from_component(term, f"{place}.terms[{i}]", errors) for i,
                  term in enumerate(prony.terms))
         return cls(terms=tuple(terms), moduli=prony.moduli)
 
-    def make_component(self, field: str) -> Prony:
-        """Make the Prony series; errors as in `ComponentEntry.make_component`."""
+    def make_component(self, field: str) -> RelaxationSeries:
+        """Make the relaxation; errors as in `ComponentEntry.make_component`."""
+        if isinstance(self.terms, tuple) == isinstance(self.fractional_zener, ComponentEntry):
+            raise InputError("must have either terms or fractional_zener. Add or remove one of them", field=field)
+        if not isinstance(self.terms, tuple):
+            assert isinstance(self.fractional_zener, ComponentEntry)
+            return FractionalRelaxation(self.fractional_zener.make_component(f"{field}.fractional_zener"), self.moduli)
         terms = tuple(term.make_component(f"{field}.terms[{i}]") for i, term in enumerate(self.terms))
         with located_and_converted_errors(field=field):
             return Prony(terms, self.moduli)

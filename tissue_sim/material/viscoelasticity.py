@@ -17,7 +17,7 @@ from tissue_sim.parameters import parameter
 from tissue_sim.public_names import OldName, with_old_names
 
 #: Largest number of relaxing terms, drainage included; the finite elements store one stress for each.
-MOST_TERMS = 4
+MOST_TERMS = 13
 #: Name, in files, of the stress that the hereditary integral acts on.
 FORM: Final = "isochoric_second_piola"
 #: Meanings of the parameters of a law.
@@ -45,31 +45,20 @@ class PronyTerm:
 
 
 @with_old_names(modulus="compute_relative_relaxation_modulus")
-@dataclass(frozen=True)
-class Prony:
-    """A Prony series: relative relaxation modulus 1 - sum g_i (1 - exp(-t/tau_i)).
+class RelaxationSeries:
+    """Relaxation by exponentials: relative relaxation modulus 1 - sum g_i (1 - exp(-t/tau_i)).
 
     Attributes:
-        terms: 1 to 4 terms.
-        moduli: meaning of the law's parameters: ``"instantaneous"`` (very fast loading) or ``"long_term"`` (very slow).
-            The g_i are relative to the instantaneous modulus in both cases.
-
-    Raises:
-        InputError: no term or too many, g_i whose sum is 1 or more, unknown `moduli`.
+        terms: terms of the series.
+        moduli: meaning of the law's parameters, see `Prony`.
     """
 
     terms: tuple[PronyTerm, ...]
-    moduli: Literal["instantaneous", "long_term"] = "instantaneous"
+    moduli: Literal["instantaneous", "long_term"]
     instantaneous_factor = OldName("instantaneous_over_law_modulus_ratio")
 
-    def __post_init__(self):
-        object.__setattr__(self, "terms", tuple(self.terms))
-        if not 1 <= len(self.terms) <= MOST_TERMS:
-            raise InputError(f"must have 1 to {MOST_TERMS} terms; got {len(self.terms)}. Leave viscoelasticity out",
-                             field="terms")
-        if not self.relaxing_fraction < 1:
-            raise InputError(f"the sum of all g must be below 1, or no stress remains under constant strain; got "
-                             f"{self.relaxing_fraction:g}.", field="terms")
+    def _require_known_moduli(self) -> None:
+        """Raise an error if `moduli` is unknown."""
         if self.moduli not in MODULI:
             raise InputError(f"unknown {self.moduli!r}; known: {', '.join(MODULI)}", field="moduli")
 
@@ -117,6 +106,33 @@ class Prony:
         decay, gain = _compute_decay_and_gain_over_g(dt, self.tau)
         gain = self.g * gain
         return 1.0 - self.relaxing_fraction + gain.sum(axis=-1), decay, gain
+
+
+@dataclass(frozen=True)
+class Prony(RelaxationSeries):
+    """A Prony series with stated terms.
+
+    Attributes:
+        terms: 1 to 13 terms.
+        moduli: meaning of the law's parameters: ``"instantaneous"`` (very fast loading) or ``"long_term"`` (very slow).
+            The g_i are relative to the instantaneous modulus in both cases.
+
+    Raises:
+        InputError: no term or too many, g_i whose sum is 1 or more, unknown `moduli`.
+    """
+
+    terms: tuple[PronyTerm, ...]
+    moduli: Literal["instantaneous", "long_term"] = "instantaneous"
+
+    def __post_init__(self):
+        object.__setattr__(self, "terms", tuple(self.terms))
+        if not 1 <= len(self.terms) <= MOST_TERMS:
+            raise InputError(f"must have 1 to {MOST_TERMS} terms; got {len(self.terms)}. Leave viscoelasticity out",
+                             field="terms")
+        if not self.relaxing_fraction < 1:
+            raise InputError(f"the sum of all g must be below 1, or no stress remains under constant strain; got "
+                             f"{self.relaxing_fraction:g}.", field="terms")
+        self._require_known_moduli()
 
 
 def compute_internal_stress_history_over_g(dt: np.ndarray, elastic: np.ndarray, tau: np.ndarray) -> np.ndarray:

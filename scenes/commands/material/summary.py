@@ -11,6 +11,7 @@ import numpy as np
 from calibration.report.quantities import format_pressure
 from tissue_sim.laws import find_stability_range
 from tissue_sim.material.file import EFFECTS
+from tissue_sim.material.fractional_zener import FractionalRelaxation
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -44,6 +45,7 @@ def summarise_material_file(material_file: MaterialFile) -> dict[str, Any]:
         "incompressible": not math.isfinite(bulk_modulus),
         "density_kg_m3": material.density,
         **{key: msgspec.to_builtins(getattr(material_file, key)) for key in EFFECTS},
+        "prony_expansion": FractionalRelaxation.describe_or_none(material.viscoelastic),
         "stability": {"stable": stability.is_stable_in_whole_range,
                       "stable_from": stability.stable_from,
                       "stable_to": stability.stable_to, "stretch_range": list(stability.stretch_range),
@@ -127,9 +129,14 @@ def list_effect_and_region_lines(summary: dict[str, Any]) -> list[str]:
     """Return one line for each effect beyond the hyperelastic law, such as viscoelasticity, and for each region."""
     lines = []
     if series := summary["viscoelastic"]:
+        if model := series.get("fractional_zener"):
+            alpha, g, tau = (_format_with_error(model, key) for key in ("alpha", "g", "tau_s"))
+            lines += [f"viscoelastic (fractional Zener model of the {series['form'].replace('_', ' ')} stress): alpha "
+                      f"{alpha}, g {g}, tau {tau} s", summary["prony_expansion"]]
         terms = "; ".join(f"g {_format_with_error(term, 'g')}, tau {_format_with_error(term, 'tau_s')} s"
-                          for term in series["terms"])
-        lines.append(f"viscoelastic (Prony series of the {series['form'].replace('_', ' ')} stress): {terms}")
+                          for term in series.get("terms", ()))
+        if terms:
+            lines.append(f"viscoelastic (Prony series of the {series['form'].replace('_', ' ')} stress): {terms}")
     if soft := summary["softening"]:
         lines.append(f"softening on first load: loss {_format_with_error(soft, 'loss')}, "
                      f"modulus {_format_with_error(soft, 'modulus_Pa', 0.0)} Pa, "
