@@ -48,6 +48,8 @@ from tissue_sim.material.file import load_material as load_material
 from tissue_sim.material.file import read_material_file as read_material_file
 from tissue_sim.material.file import write_material_file as write_material_file
 from tissue_sim.material.force_scaling import Puncture as Puncture
+from tissue_sim.material.fractional_zener import FractionalRelaxation as FractionalRelaxation
+from tissue_sim.material.fractional_zener import FractionalZener as FractionalZener
 from tissue_sim.material.material import Bulk as Bulk
 from tissue_sim.material.material import Layer as Layer
 from tissue_sim.material.material import Material as Material

@@ -132,9 +132,9 @@ class FractionalZener:
 
     alpha: float = parameter("alpha", "1", key="alpha", bounds=(0.01, 1.0))
     g: float = parameter("g", "1", key="g", bounds=(1e-6, 0.99), absent=0.0)
-    tau: float = parameter("tau", "s", key="tau_s", bounds=(1e-6, 1e8))
-    shortest: float = parameter("t_min", "s", key="from_s", bounds=(1e-6, 1e6))
-    longest: float = parameter("t_max", "s", key="to_s", bounds=(1e-6, 1e8))
+    tau: float = parameter("tau", "s", key="tau_s", bounds=(1e-4, 1e6))
+    shortest: float = parameter("t_min", "s", key="from_s", bounds=(1e-4, 1e6))
+    longest: float = parameter("t_max", "s", key="to_s", bounds=(1e-4, 1e6))
     term_count: Literal[12, 11, 10, 9, 8, 7, 6, 5, 4] = choice(12, 11, 10, 9, 8, 7, 6, 5, 4)
 
     def __post_init__(self):
@@ -217,7 +217,8 @@ def _expand(alpha: float, g: float, tau: float, shortest: float, longest: float,
             break
         weights[1:] *= np.sqrt(error[rows[1:]] / error.max() + _EXPANSION.smallest)
         weights[1:] /= weights[1:].mean()
-    return tuple(PronyTerm(float(fraction), float(time)) for fraction, time in zip(best, times, strict=True)), best_error
+    terms = tuple(PronyTerm(float(fraction), float(time)) for fraction, time in zip(best, times, strict=True))
+    return terms, best_error
 
 
 @dataclass(frozen=True)

@@ -59,6 +59,8 @@ _REFERENCES = {
                      "the large stretch behavior of rubber elastic materials. J Mech Phys Solids 41:389-412"),
     "fung_demiray": ("Demiray 1972", "Demiray H (1972) A note on the elasticity of soft biological tissues. J Biomech "
                      "5:309-311"),
+    "fractional_zener": ("Mainardi 2010", "Mainardi F (2010) Fractional Calculus and Waves in Linear Viscoelasticity. "
+                         "Imperial College Press, London"),
     "prony": ("Simo 1987", "Simo JC (1987) On a fully three-dimensional finite-strain viscoelastic damage model. "
               "Comput Methods Appl Mech Eng 60:153-173"),
     "descent": ("Branch et al. 1999", "Branch MA, Coleman TF, Li Y (1999) A subspace, interior, and conjugate gradient "
@@ -148,8 +150,12 @@ def _format_laws_paragraph(result: CalibrationResult, cite) -> str:
         key = next((key for key in _REFERENCES if fit.law.startswith(key)), None)
         laws.append(f"{find_law(fit.law).title}{f' {cite(key)}' if key else ''}, {fit.formula}")
     text = f"Material. {'; '.join(laws)}."
-    terms = sum(name.endswith(".g") and "viscoelastic" in name for name in result.best.parameters)
-    if terms:
+    names = result.best.parameters
+    if any(name.startswith("viscoelastic.fractional_zener.") for name in names):
+        text += (" The isochoric second Piola-Kirchhoff stress relaxes by a fractional Zener model "
+                 f"{cite('fractional_zener')}, represented by a Prony series {cite('prony')}; moduli are "
+                 "instantaneous.")
+    elif terms := sum(name.endswith(".g") and "viscoelastic" in name for name in names):
         text += (" The isochoric second Piola-Kirchhoff stress relaxes by a Prony series of "
                  f"{format_count(terms, 'term')} {cite('prony')}; moduli are instantaneous.")
     return text
