@@ -203,3 +203,29 @@ def test_a_fractional_zener_model_is_found(tmp_path):
         error = result.best.standard_errors[name]
         assert abs(result.best.parameters[name] - value) < 3.0 * error < 0.2 * value, name
     assert "fractional Zener" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_softening_in_the_form_of_the_campaign(tmp_path):
+    """Loading, unloading and reloading with erf: the fit with erf finds the loss, the fit with tanh has a misfit."""
+    material = ts.Material("neo_hooke", {"C10": 1500.0}, softening=ts.Softening(0.4, 20.0, 0.3, "erf"))
+    stretch = np.concatenate([np.linspace(1.0, 0.7, 41), np.linspace(0.7, 0.98, 41)[1:],
+                              np.linspace(0.98, 0.6, 41)[1:]])
+    stress = nominal_stress_history(material, TIME[:stretch.size], stretch)
+    noisy = stress + np.random.default_rng(2).normal(0.0, 1.0, stress.size)
+    ts.write_recording(ts.Recording({"time": TIME[:stretch.size], "stretch": stretch, "nominal stress": noisy}),
+                       tmp_path / "run.csv")
+    misfit = {}
+    for form in ("erf", "tanh"):
+        (tmp_path / f"{form}.toml").write_text(
+            '[[test]]\nname = "run"\nkind = "lubricated_compression"\nrecordings = ["run.csv"]\n'
+            f'[fit]\nlaws = ["neo_hooke"]\nsoftening_form = "{form}"\n'
+            'start = { "softening.loss" = 0.2, "softening.modulus_Pa" = 50.0 }\nfixed = { "softening.share" = 0.3 }\n',
+            encoding="utf-8")
+        result, = calibration.calibrate([tmp_path / f"{form}.toml"], tmp_path / form, figures=False)
+        found = ts.load_material(tmp_path / form / result.best.material_file)
+        assert found.softening.form == form
+        misfit[form] = result.best.RMSE_Pa
+        if form == "erf":
+            assert found.softening.loss == pytest.approx(0.4, rel=0.02)
+            assert found.softening.modulus == pytest.approx(20.0, rel=0.1)
+    assert misfit["tanh"] > 3.0 * misfit["erf"]

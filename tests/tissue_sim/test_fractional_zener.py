@@ -19,6 +19,8 @@ from tissue_sim.material.fractional_zener import (
     evaluate_mittag_leffler,
 )
 from tissue_sim.material.material import make_material_from_numbers, with_changed_or_added_parameters
+from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
+from tissue_sim.mesh.solid_element import HEX8P0
 from tissue_sim.parameters import parameter_values, with_values
 
 #: Time window, s.
@@ -183,6 +185,19 @@ def test_simulation_gives_the_closed_form():
     expected = -np.pi * RADIUS**2 * ts.nominal_stress_history(GEL, PROTOCOL.time, 1.0 - PROTOCOL.displacement / HEIGHT)
     assert expected.max() > 1.2 * expected[PROTOCOL.time.searchsorted(12.0) - 1] > 0.0
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5 * expected.max())
+
+
+@pytest.mark.slow
+def test_solid_elements_give_the_closed_form():
+    """The ratio of the forces is that of the areas of faceted and round cylinder, equal at all times."""
+    mesh = create_cylinder_mesh_under_needle(RADIUS, HEIGHT, 0.024, HEX8P0, smallest=9e-3, growth=2.2, largest=20e-3,
+                                             around=2)
+    protocol = ts.Protocol.parse("ramp 6mm @3mm/s; hold 10s; unload 3mm", points=41)
+    of = dataclasses.replace(model(GEL).experiment, protocol=protocol)
+    found = ts.simulate(ts.Model(of, GEL), solver="solid", mesh=mesh).force
+    expected = ts.nominal_stress_history(GEL, protocol.time, 1.0 - protocol.displacement / HEIGHT)
+    ratio = found[1:] / expected[1:]
+    np.testing.assert_allclose(ratio, ratio[-1], rtol=2e-4)
 
 
 def test_sensitivities():
