@@ -6,7 +6,7 @@ A column whose stretch varies with height is the closed form of lubricated compr
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from calibration.forward.contract import InfeasibleError, StretchRange
 from calibration.forward.motion import DIFFERENCES
 from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.closed_form.column import Column
+from tissue_sim.closed_form.deformation import DEFORMATIONS
 from tissue_sim.closed_form.histories import LARGEST_STEP, StrainHistory
 from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import InputError
@@ -291,16 +292,15 @@ class ClosedFormTest:
 
     @property
     def _supports_homogeneous_history(self) -> bool:
-        """Whether `StrainHistory` can compute the stress: uniaxial loading or simple shear."""
-        return type(self.closed_form) is ClosedForm and self.closed_form.law_mode in ("uniaxial", "simple_shear")
+        """Whether `StrainHistory` can compute the stress."""
+        return type(self.closed_form) is ClosedForm and self.closed_form.law_mode in DEFORMATIONS
 
     def get_homogeneous_history(self, recording: int, offset: float = 0.0) -> StrainHistory:
         """Return the deformation history of the specimen in a recording; cached if the contact offset is 0."""
         if offset == 0.0 and recording in self._histories:
             return self._histories[recording]
         measured = self.measured[recording]
-        mode: Literal["uniaxial", "simple_shear"] = "uniaxial" if self.closed_form.rest else "simple_shear"
-        found = StrainHistory(mode, measured.sample_times,
+        found = StrainHistory(self.closed_form.law_mode, measured.sample_times,
                               self.convert_displacement_to_stretch_or_shear(measured.displacement - offset),
                               self.largest_step)
         if offset == 0.0:

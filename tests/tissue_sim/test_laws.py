@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.laws.law import MODES
+from tissue_sim.laws.modes import MODES
 
 PARAMETERS = {
     "neo_hooke": [1461.6],
@@ -69,6 +69,39 @@ def test_derivatives_are_those_of_the_stress(name, mode):
         numeric = (law.nominal_stress(STRETCHES, values + step, mode)
                    - law.nominal_stress(STRETCHES, values - step, mode)) / (2 * step[i])
         np.testing.assert_allclose(analytic[:, i], numeric, rtol=1e-6, atol=1e-6 * (1 + abs(numeric).max()))
+
+
+@every_law
+def test_biaxial_stresses_contain_the_modes_with_one_stretch(name):
+    law, values, s = ts.find_law(name), np.array(PARAMETERS[name]), STRETCHES
+    for mode, other in (("uniaxial", s**-0.5), ("planar", np.ones_like(s)), ("equibiaxial", s)):
+        both = law.nominal_stress(np.stack([s, other], axis=-1), values, "biaxial")
+        np.testing.assert_allclose(both[:, 0], law.nominal_stress(s, values, mode), rtol=1e-9, atol=1e-6)
+        if mode == "uniaxial":
+            np.testing.assert_allclose(both[:, 1], 0.0, atol=1e-9 * np.abs(both).max())
+
+
+@every_law
+def test_biaxial_derivatives_are_those_of_the_stresses(name):
+    law, values = ts.find_law(name), np.array(PARAMETERS[name])
+    stretches, h = np.array([[0.7, 1.2], [1.0, 1.0], [1.3, 1.1], [2.0, 0.8]]), 1e-6
+    slope = law.nominal_stress_slope(stretches, values, "biaxial")
+    derivatives = law.nominal_stress_parameter_derivatives(stretches, values, "biaxial")
+    assert slope.shape == (4, 2, 2) and derivatives.shape == (4, 2, values.size)
+    for k, step in enumerate(h * np.eye(2)):
+        ahead, behind = (law.nominal_stress(stretches + sign * step, values, "biaxial") for sign in (1, -1))
+        np.testing.assert_allclose(slope[..., k], (ahead - behind) / (2 * h), rtol=1e-6, atol=1e-3)
+    np.testing.assert_allclose(slope[..., 0, 1], slope[..., 1, 0], rtol=1e-9, atol=1e-9)  # W is an energy
+    for i in range(values.size):
+        step = h * max(abs(values[i]), 1.0) * np.eye(values.size)[i]
+        numeric = (law.nominal_stress(stretches, values + step, "biaxial")
+                   - law.nominal_stress(stretches, values - step, "biaxial")) / (2 * step[i])
+        np.testing.assert_allclose(derivatives[..., i], numeric, rtol=1e-6, atol=1e-6 * (1 + abs(numeric).max()))
+
+
+def test_biaxial_needs_two_stretches():
+    with pytest.raises(ts.InputError, match="must have 2 values at each point; got 3"):
+        ts.find_law("neo_hooke").nominal_stress([1.0, 1.1, 1.2], [1000.0], "biaxial")
 
 
 @every_law

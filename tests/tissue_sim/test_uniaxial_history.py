@@ -9,7 +9,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.closed_form.histories import StrainHistory, nominal_stress_history, shear_stress_history
+from tissue_sim.closed_form.histories import (
+    StrainHistory,
+    compute_stress_history,
+    nominal_stress_history,
+    shear_stress_history,
+)
 from tissue_sim.material.material import Layer
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Poroelasticity, Prony, PronyTerm
@@ -28,7 +33,12 @@ DEPTH = 0.010
 HOLD = 60.0
 LAWS = [("neo_hooke", {"C10": 500.0}), ("reduced_polynomial_2", {"C10": 500.0, "C20": 300.0}),
         ("mooney_rivlin", {"C10": 300.0, "C01": 300.0}), ("ogden_1", {"mu1": 1000.0, "alpha1": -4.0})]
-MODES = {"uniaxial": (nominal_stress_history, 1.0), "simple_shear": (shear_stress_history, 0.0)}
+def make_history_function(mode):
+    return lambda material, time, strain: compute_stress_history(mode, material, time, strain, None)
+
+
+MODES = {"uniaxial": (nominal_stress_history, 1.0), "simple_shear": (shear_stress_history, 0.0),
+         "planar": (make_history_function("planar"), 1.0), "equibiaxial": (make_history_function("equibiaxial"), 1.0)}
 
 
 @pytest.fixture(scope="module")
@@ -118,12 +128,12 @@ def test_softening_on_first_load_only(mode):
     assert (back[1:-1] < first[::-1][1:-1]).all()
     np.testing.assert_allclose(again, back[::-1], rtol=1e-12, atol=1e-9)
     np.testing.assert_allclose(beyond, elastic[-further.size:], rtol=1e-12)
-    # The formula itself, at one point of the unloading: W by quadrature of the stress.
-    middle = up.size // 2
+    # The formula itself, at one point of the unloading: W by quadrature of the stress in all loaded directions.
+    middle, directions = up.size // 2, 2 if mode == "equibiaxial" else 1
     fine = np.linspace(rest, up[middle], 20001)
-    energy = np.trapezoid(STUDY.energy_law.nominal_stress(fine, STUDY.values, mode), fine)
+    energy = directions * np.trapezoid(STUDY.energy_law.nominal_stress(fine, STUDY.values, mode), fine)
     fine = np.linspace(rest, corners[1], 20001)
-    largest = np.trapezoid(STUDY.energy_law.nominal_stress(fine, STUDY.values, mode), fine)
+    largest = directions * np.trapezoid(STUDY.energy_law.nominal_stress(fine, STUDY.values, mode), fine)
     eta = 1 - 0.5 * np.tanh((largest - energy) / (20.0 + 0.3 * largest))
     assert again[middle] == pytest.approx(eta * first[middle], rel=1e-6)
 
@@ -152,13 +162,13 @@ def test_no_energy_comes_out(law, mode, steps, g, tau, loss):
     For one relaxing term the work is a Bregman distance of the convex complementary energy plus a dissipation that is
     not negative, as long as each component of S rises with its strain, which it does for these laws.
     """
-    history, _ = MODES[mode]
+    history, rest = MODES[mode]
     time = np.concatenate([[0.0], np.cumsum([10.0**power for power, _ in steps])])
     logs = np.concatenate([[0.0], [x for _, x in steps]])
     time, logs = np.append(time, time[-1] + 1.0), np.append(logs, 0.0)
     fine = np.linspace(0.0, 1.0, 200 * (time.size - 1) + 1) * (time.size - 1)
     time, logs = np.interp(fine, np.arange(time.size), time), np.interp(fine, np.arange(logs.size), logs)
-    strain = np.exp(logs) if mode == "uniaxial" else logs
+    strain = np.exp(logs) if rest else logs
     material = ts.Material(*law, viscoelastic=Prony((PronyTerm(g, tau),)), softening=Softening(loss, 5.0, 0.5))
     stress = history(material, time, strain)
     pieces = 0.5 * (stress[1:] + stress[:-1]) * np.diff(strain)
@@ -172,6 +182,17 @@ def test_no_energy_comes_out(law, mode, steps, g, tau, loss):
 def test_refused(time, strain, message):
     with pytest.raises(ts.InputError, match=message):
         nominal_stress_history(STUDY, time, strain)
+
+
+def test_biaxial_history_contains_the_modes_with_one_stretch():
+    material = dataclasses.replace(RELAXING, softening=Softening(0.5, 20.0, 0.3))
+    time, stretch = np.array([0.0, 1.0, 4.0, 5.0]), np.array([1.0, 1.4, 1.4, 1.2])
+    for mode, other in (("planar", np.ones(4)), ("equibiaxial", stretch)):
+        both = compute_stress_history("biaxial", material, time, np.stack([stretch, other], axis=-1), None)
+        assert both.shape == (4, 2)
+        np.testing.assert_allclose(both[:, 0], compute_stress_history(mode, material, time, stretch, None), rtol=1e-12)
+    with pytest.raises(ts.InputError, match=r"lists of n and n x 2 values"):
+        compute_stress_history("biaxial", material, time, stretch, None)
 
 
 def test_layers_are_not_homogeneous():

@@ -1,9 +1,7 @@
 """Closed-form response of homogeneous tests with history: viscoelasticity, drainage and softening.
 
-The specimen is incompressible and deforms homogeneously, as in lubricated compression, tension and simple shear. The
-elastic stress is the closed form of the law. The hereditary integral acts on two components of the isochoric second
-Piola-Kirchhoff stress S, which is first softened and then relaxed. The nominal stress is linear in these components:
-P = stretch S11 - S22 / stretch^2 in uniaxial loading with free lateral faces; P12 = S12 + gamma S22 in simple shear.
+The specimen is incompressible and deforms homogeneously; see `tissue_sim.closed_form.deformation`. The hereditary
+integral acts on components of the isochoric second Piola-Kirchhoff stress S, which is first softened and then relaxed.
 """
 
 from __future__ import annotations
@@ -13,6 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
+from tissue_sim.closed_form.deformation import DEFORMATIONS, HomogeneousDeformation
 from tissue_sim.errors import InputError
 from tissue_sim.laws import Law
 from tissue_sim.material.effect import PointEffect
@@ -24,8 +23,6 @@ from tissue_sim.material.viscoelasticity import Prony, compute_internal_stress_h
 #: divided. The error of the force is proportional to its square: 3e-6 of the largest force in a ramp, hold and return
 #: to strain 0.14 with tau 2 s.
 LARGEST_STEP = 0.002
-#: Mode -> abscissa of the undeformed specimen.
-_REST = {"uniaxial": 1.0, "simple_shear": 0.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,10 +30,10 @@ class StrainHistory:
     """Deformation of a homogeneous test against time, from rest, linear between its points.
 
     Attributes:
-        mode: ``"uniaxial"`` or ``"simple_shear"``.
+        mode: name in `DEFORMATIONS`.
         time: s, shape (n,), not decreasing; two points at the same time are a sudden step, and so is a first point
             that is not at rest.
-        strain: stretch, or shear strain gamma, shape (n,).
+        strain: stretch, or shear strain gamma, shape (n,); both stretches of the mode ``biaxial``: shape (n, 2).
         largest_step: largest change of log(stretch) or shear strain in a step; longer steps are divided.
 
     Raises:
@@ -49,63 +46,55 @@ class StrainHistory:
     largest_step: float = LARGEST_STEP
 
     def __post_init__(self):
-        if self.mode not in _REST:
-            raise InputError(f"closed forms with history exist for {' and '.join(_REST)}; got {self.mode}. Leave the "
-                             "history of the material out, or use another test", field="kind")
-        quantity = "stretch" if self.mode == "uniaxial" else "shear strain"
+        if self.mode not in DEFORMATIONS:
+            raise InputError(f"must be one of {', '.join(DEFORMATIONS)}; got {self.mode}. Leave the history of the "
+                             "material out, or use another test.", field="mode")
+        form = self.deformation
         time, strain = (np.array(values, dtype=float) for values in (self.time, self.strain))
         object.__setattr__(self, "time", time)
         object.__setattr__(self, "strain", strain)
-        if time.ndim != 1 or time.shape != strain.shape or not time.size:
-            raise InputError(f"time {time.shape} and {quantity} {strain.shape} must be two lists of the same length",
-                             field="time")
-        for name, values in (("time", time), (quantity, strain)):
+        shape = time.shape if form.count == 1 else (*time.shape, form.count)
+        if time.ndim != 1 or strain.shape != shape or not time.size:
+            both = "two lists of the same length" if form.count == 1 else f"lists of n and n x {form.count} values"
+            raise InputError(f"time {time.shape} and {form.quantity} {strain.shape} must be {both}", field="time")
+        for name, values in (("time", time), (form.quantity, strain)):
             if not np.isfinite(values).all():
                 raise InputError("must be finite.", field=name)
         if (np.diff(time) < 0).any():
             raise InputError("must not decrease; sort the samples", field="time")
-        if self.mode == "uniaxial" and (strain <= 0).any():
-            raise InputError(f"must be above 0 (1 is undeformed); got {strain.min():g}.",
-                             field="stretch")
+        form.require_valid(strain)
+
+    @property
+    def deformation(self) -> HomogeneousDeformation:
+        """Deformation of the mode."""
+        return DEFORMATIONS[self.mode]
 
     @cached_property
     def _divided_steps_strains_and_samples(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Time steps and strains of the divided history, and indices of the samples in it."""
-        strain = np.concatenate([[_REST[self.mode]], self.strain])
+        """Time steps, strains (points, abscissas) of the divided history, and indices of the samples in it."""
+        form, count = self.deformation, self.deformation.count
+        strain = np.concatenate([np.full((1, count), form.rest), self.strain.reshape(-1, count)])
         time = np.concatenate([self.time[:1], self.time])
-        size = np.abs(np.diff(np.log(strain) if self.mode == "uniaxial" else strain))
+        size = np.abs(np.diff(form.measure_strain(strain), axis=0)).max(axis=1)
         parts = np.maximum(np.ceil(size / self.largest_step), 1).astype(int)
         last = np.cumsum(parts)
         number = np.arange(1, last[-1] + 1) - np.repeat(last - parts, parts)
         fraction = number / np.repeat(parts, parts)
-        fine = np.repeat(strain[:-1], parts) + fraction * np.repeat(np.diff(strain), parts)
-        fine[last - 1] = self.strain
+        fine = np.repeat(strain[:-1], parts, axis=0) + fraction[:, None] * np.repeat(np.diff(strain, axis=0), parts,
+                                                                                    axis=0)
+        fine[last - 1] = strain[1:]
         return np.repeat(np.diff(time) / parts, parts), fine, last - 1
 
     @cached_property
-    def _second_piola_to_nominal_weights(self) -> np.ndarray:
-        """d(nominal stress)/d(two components of S) at every point of the divided history, shape (points, 2)."""
-        strain = self._divided_steps_strains_and_samples[1]
-        if self.mode == "uniaxial":
-            return np.stack([strain, -1.0 / strain**2], axis=-1)
-        return np.stack([np.ones_like(strain), strain], axis=-1)
+    def _sample_weights(self) -> np.ndarray:
+        """d(nominal stresses)/d(components of S) at the samples, shape (n, abscissas, components)."""
+        _, strain, samples = self._divided_steps_strains_and_samples
+        return self.deformation.compute_nominal_stress_weights(strain[samples])
 
     def _compute_softened_second_piola_stress(self, law: Law, values, factor: float,
                                               softening: Softening | None) -> np.ndarray:
-        """Compute the two components of the elastic stress S with softening, without relaxation, Pa, (points, 2)."""
-        strain = self._divided_steps_strains_and_samples[1]
-        if self.mode == "uniaxial":
-            side = strain**-0.5
-            energy, tau = law.compute_energy_and_kirchhoff_stresses(np.stack([strain, side, side], axis=-1), values)
-            S = np.stack([tau[:, 0] / strain**2, tau[:, 1] * strain], axis=-1)
-        else:
-            # Principal stretches l, 1/l with l - 1/l = gamma; the first axis lies along (l, 1).
-            l1 = np.hypot(1.0, strain / 2.0) + strain / 2.0
-            energy, tau = law.compute_energy_and_kirchhoff_stresses(np.stack([l1, 1.0 / l1, np.ones_like(l1)], axis=-1),
-                                                                    values)
-            tau12 = (tau[:, 0] - tau[:, 1]) * l1 / (1.0 + l1**2)
-            tau22 = (tau[:, 0] + tau[:, 1] * l1**2) / (1.0 + l1**2)
-            S = np.stack([tau12 - strain * tau22, tau22], axis=-1)
+        """Compute the components of the elastic stress S with softening, without relaxation, Pa, (points, components)."""
+        energy, S = self.deformation.compute_energy_and_stress(law, values, self._divided_steps_strains_and_samples[1])
         if softening is not None:
             energy = factor * energy
             S = S * softening.factor(energy, np.maximum.accumulate(energy))[:, None]
@@ -113,7 +102,7 @@ class StrainHistory:
 
     def nominal_stress(self, law: Law, values, prony: Prony | None = None, softening: Softening | None = None,
                        factor: float = 1.0) -> np.ndarray:
-        """Compute the nominal stress at the samples, Pa, shape (n,).
+        """Compute the nominal stress at the samples, Pa, shape of `strain`.
 
         Args:
             law: strain energy.
@@ -138,14 +127,15 @@ class StrainHistory:
             factor: instantaneous moduli over those of `values`.
 
         Returns:
-            `elastic`, shape (n,), and `relaxing`, shape (n, terms), both in Pa at the samples.
+            `elastic`, shape of `strain`, and `relaxing`, with an additional last axis of the terms, both in Pa at the
+            samples.
         """
         dt, _, samples = self._divided_steps_strains_and_samples
-        stress, weights = self._compute_softened_second_piola_stress(law, values, factor,
-                                                                     softening), self._second_piola_to_nominal_weights[
-                                                                         samples]
+        stress, weights = self._compute_softened_second_piola_stress(law, values, factor, softening), self._sample_weights
         relaxing = compute_internal_stress_history_over_g(dt, stress, tau)[samples]
-        return np.sum(weights * stress[samples], axis=1), np.einsum("nc,nct->nt", weights, relaxing)
+        elastic = np.einsum("nac,nc->na", weights, stress[samples])
+        return elastic.reshape(self.strain.shape), np.einsum("nac,nct->nat", weights, relaxing).reshape(
+            *self.strain.shape, len(tau))
 
 
 def nominal_stress_history(material: Material, time, stretch, contact_radius: float | None = None) -> np.ndarray:

@@ -18,6 +18,7 @@ import numpy as np
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
 from tissue_sim.laws.derivation import load_or_derive_function, load_or_format_text
 from tissue_sim.laws.domain import list_domain_conditions
+from tissue_sim.laws.modes import STRETCH_MODES
 from tissue_sim.public_names import LazyModule, rename_old_members_of_subclass, with_old_names
 
 if TYPE_CHECKING:
@@ -130,19 +131,12 @@ class ParameterRange:
     starts: tuple[float, ...]
 
 
-#: Homogeneous incompressible deformations: mode -> exponents of the principal stretches as powers of the stretch. The
-#: loaded directions, by whose number dW/dlambda is divided for the nominal stress, have the exponent 1.
-MODE_EXPONENTS = {"uniaxial": (1.0, -0.5, -0.5), "planar": (1.0, 0.0, -1.0), "equibiaxial": (1.0, 1.0, -2.0)}
-#: Names of the modes.
-MODES = tuple(MODE_EXPONENTS)
-
-
 def compute_first_invariant(abscissa, mode: str) -> np.ndarray:
     """Return I1 of a homogeneous deformation, shape of `abscissa`: a stretch, or gamma in ``"simple_shear"``."""
     abscissa = np.asarray(abscissa, dtype=float)
     if mode == "simple_shear":
         return 3.0 + abscissa**2
-    return np.sum([abscissa**(2.0 * exponent) for exponent in MODE_EXPONENTS[mode]], axis=0)
+    return np.sum(STRETCH_MODES[mode].compute_principal_stretches(abscissa)**2, axis=-1)
 
 
 #: Members that laws of plug-ins may still define by their old names: old name -> new name.
@@ -262,22 +256,34 @@ class Law:
         """Convert parameters to name -> value, without replacements of values at which the formula has a limit."""
         return dict(zip(self.parameters, Law.convert_parameters_to_array(self, values).tolist(), strict=True))
 
-    def _evaluate_stress_slope_and_derivatives(self, mode, stretch, values) -> list[np.ndarray]:
-        """Return [nominal stress, its slope, its derivative by each parameter], each with the shape of `stretch`."""
-        stretch = np.asarray(stretch, dtype=float)
-        return _evaluate_inside_domain(_compile_mode_stress_function(self, mode), 2 + len(self.parameters),
-                                       stretch.shape, stretch, *self.convert_parameters_to_array(values))
+    def _evaluate_stress_slope_and_derivatives(self, mode, stretch, values) -> np.ndarray:
+        """Return stress, its slopes and its parameter derivatives for each load, shape (*points, loads, 1 + k + m).
+
+        The last axis has the stress, the derivatives with respect to the k stretches, and those with respect to the m
+        parameters. `stretch` has the shape (*points) for k = 1, and (*points, k) otherwise.
+        """
+        stretch, count = np.asarray(stretch, dtype=float), _count_stretches(mode)
+        parts = (stretch,) if count == 1 else tuple(np.moveaxis(stretch, -1, 0))
+        if len(parts) != count:
+            raise InputError(f"must have {count} values at each point; got {len(parts)}.", field="stretch")
+        items = _evaluate_inside_domain(_compile_mode_stress_function(self, mode),
+                                        count * (1 + count + len(self.parameters)), parts[0].shape, *parts,
+                                        *self.convert_parameters_to_array(values))
+        return np.stack(items, axis=-1).reshape(*parts[0].shape, count, -1)
 
     def nominal_stress(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
         """First Piola-Kirchhoff stress of an incompressible solid, Pa, negative in compression.
 
         Args:
-            stretch: any shape; the shear strain gamma for ``mode="simple_shear"``.
+            stretch: any shape; the shear strain gamma for ``mode="simple_shear"``; for ``mode="biaxial"`` both
+                stretches, shape (..., 2).
             values: parameters, SI.
-            mode: ``uniaxial`` (equations 4 to 7 of the reference study), ``planar``, ``equibiaxial``, ``simple_shear``.
+            mode: ``uniaxial`` (equations 4 to 7 of the reference study), ``planar``, ``equibiaxial``, ``biaxial``,
+                ``simple_shear``.
 
         Returns:
-            Stress, Pa, shape of `stretch`; NaN or infinite outside the domain of the law.
+            The shape of `stretch`; in the mode ``biaxial`` the stresses along both axes. NaN or infinite outside the
+            domain of the law.
 
         Source: P = dW/dlambda along the mode (Holzapfel, Nonlinear Solid Mechanics, 2000, section 6.5).
 
@@ -285,16 +291,26 @@ class Law:
             >>> from tissue_sim.laws import find_law
             >>> find_law("neo_hooke").nominal_stress([0.9, 1.0, 1.1], {"C10": 1000.0}).round(1)
             array([-669.1,    0. ,  547.1])
+            >>> find_law("neo_hooke").nominal_stress([1.1, 1.0], {"C10": 1000.0}, "biaxial").round(1)
+            array([697.4, 347.1])
         """
-        return np.array(self._evaluate_stress_slope_and_derivatives(mode, stretch, values)[0])
+        stress = self._evaluate_stress_slope_and_derivatives(mode, stretch, values)[..., 0]
+        return stress[..., 0] if _count_stretches(mode) == 1 else stress
 
     def nominal_stress_slope(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
-        """d(nominal stress)/d(stretch), Pa, shape of `stretch`; arguments as in `nominal_stress`."""
-        return np.array(self._evaluate_stress_slope_and_derivatives(mode, stretch, values)[1])
+        """d(nominal stress)/d(stretch), Pa, shape of `stretch`; arguments as in `nominal_stress`.
+
+        In the mode ``biaxial``: derivative of each stress (second last axis) with respect to each stretch (last axis).
+        """
+        count = _count_stretches(mode)
+        slope = self._evaluate_stress_slope_and_derivatives(mode, stretch, values)[..., 1:1 + count]
+        return slope[..., 0, 0] if count == 1 else slope
 
     def nominal_stress_parameter_derivatives(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
         """d(nominal stress)/d(parameter), shape (*stretch.shape, m); arguments as in `nominal_stress`."""
-        return np.stack(self._evaluate_stress_slope_and_derivatives(mode, stretch, values)[2:], axis=-1)
+        count = _count_stretches(mode)
+        derivatives = self._evaluate_stress_slope_and_derivatives(mode, stretch, values)[..., 1 + count:]
+        return derivatives[..., 0, :] if count == 1 else derivatives
 
     def compute_energy_and_kirchhoff_stresses(self, stretches, values) -> tuple[np.ndarray, np.ndarray]:
         """Return energy density and deviatoric Kirchhoff stresses tau_i = l_i dW/dl_i of the isochoric part.
@@ -369,29 +385,39 @@ def _evaluate_inside_domain(function, count: int, shape: tuple[int, ...], *argum
     return found
 
 
+def _count_stretches(mode: str) -> int:
+    """Return the number of prescribed stretches of a mode; 1 in simple shear."""
+    return STRETCH_MODES[mode].stretch_count if mode in STRETCH_MODES else 1
+
+
 @lru_cache
 def _compile_mode_stress_function(law: Law, mode: str):
-    """Return one compiled function: stretch, parameters -> [stress, slope, parameter derivatives, conditions]."""
+    """Return one compiled function: stretches, parameters -> see `_derive_mode_stress_and_derivatives`."""
     return law.compile_cached_function(mode, lambda: _derive_mode_stress_and_derivatives(law, mode))
 
 
 def _derive_mode_stress_and_derivatives(law: Law, mode: str):
-    """Return symbols (stretch, *parameters), and expressions [nominal stress, slope, *parameter derivatives, *domain].
+    """Return symbols (*stretches, *parameters), and for each load [nominal stress, slopes, *parameter derivatives].
 
-    The conditions of the domain are those of `Law.list_domain_conditions_of_stretches`.
+    The conditions of the domain follow; see `Law.list_domain_conditions_of_stretches`.
     """
     if mode == "simple_shear":
         # Principal stretches of simple shear gamma: l and 1/l with l - 1/l = gamma.
         s = sp.Symbol("gamma", real=True)
         l1 = s / 2 + sp.sqrt(1 + s**2 / 4)
-        stretches, directions = (l1, 1 / l1, sp.Integer(1)), 1
+        prescribed, stretches, directions = (s,), (l1, 1 / l1, sp.Integer(1)), (1,)
     else:
-        s = sp.Symbol("lambda", positive=True)
-        stretches = tuple(s**sp.Rational(exponent) for exponent in MODE_EXPONENTS[mode])
-        directions = MODE_EXPONENTS[mode].count(1.0)
-    stress = sp.diff(law.energy_of_stretches(*stretches, law.symbols), s) / directions
-    derivatives = [sp.diff(stress, variable) for variable in (s, *law.symbols)]
-    return (s, *law.symbols), [stress, *derivatives, *law.list_domain_conditions_of_stretches(*stretches)]
+        path = STRETCH_MODES[mode]
+        names = ["lambda"] if path.stretch_count == 1 else [f"lambda{i + 1}" for i in range(path.stretch_count)]
+        prescribed, directions = tuple(sp.Symbol(name, positive=True) for name in names), path.directions
+        stretches = tuple(sp.Mul(*(s**sp.Rational(e.numerator, e.denominator)
+                                   for s, e in zip(prescribed, row, strict=True))) for row in path.exponents)
+    energy = law.energy_of_stretches(*stretches, law.symbols)
+    entries = []
+    for s, count in zip(prescribed, directions, strict=True):
+        stress = sp.diff(energy, s) / count
+        entries += [stress, *(sp.diff(stress, variable) for variable in (*prescribed, *law.symbols))]
+    return (*prescribed, *law.symbols), [*entries, *law.list_domain_conditions_of_stretches(*stretches)]
 
 
 @lru_cache

@@ -7,7 +7,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from tissue_sim.laws.law import MODE_EXPONENTS, MODES, Law
+from tissue_sim.laws.law import Law
+from tissue_sim.laws.modes import MODES, STRETCH_MODES
 from tissue_sim.public_names import make_getattr_for_old_names, with_old_names
 
 __getattr__ = make_getattr_for_old_names(__name__, {"check_stability": "find_stability_range"})
@@ -136,8 +137,8 @@ def find_stability_range(law: Law, values, stretch_range: tuple[float, float] = 
 
     def is_stable(stretch, mode):
         """Return whether the law is stable at each stretch of a mode, shape (n,)."""
-        return _is_stable_at_log_strains(law, array,
-                                         np.multiply.outer(np.log(np.atleast_1d(stretch)), MODE_EXPONENTS[mode]))
+        direction = STRETCH_MODES[mode].exponent_matrix[:, 0]
+        return _is_stable_at_log_strains(law, array, np.multiply.outer(np.log(np.atleast_1d(stretch)), direction))
 
     def find_last_stable_stretch(end, mode):
         """Return the last stable stretch from 1 towards `end`; `end` itself if the law is stable on the whole range."""
