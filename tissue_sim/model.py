@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
+from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.material.material import Material
 from tissue_sim.public_names import OldName
@@ -19,6 +21,9 @@ class Model:
         material: material of the tissue.
         rig: load frame and sensor.
 
+    Raises:
+        InputError: lateral walls around an incompressible material, whose force would be infinite.
+
     Examples:
         >>> from tissue_sim import KINDS, Bulk, Protocol, Specimen, simulate
         >>> plates = KINDS["lubricated_compression"].experiment(
@@ -32,6 +37,11 @@ class Model:
     experiment: Experiment
     material: Material
     rig: Rig = field(default_factory=Rig)
+
+    def __post_init__(self):
+        if self.experiment.has_lateral_wall and math.isinf(self.material.bulk_modulus):
+            raise InputError("must be finite between lateral walls, where an incompressible specimen has no space. "
+                             "State bulk.K_Pa or another bulk response", field="bulk")
 
     @property
     def is_path_dependent(self) -> bool:

@@ -29,6 +29,7 @@ from calibration.campaign.schema import (
     decode_campaign_tables_bytes_and_defaults,
 )
 from calibration.campaign.tables import (
+    check_bulk_of_confined_tests,
     check_bulk_ratio,
     check_values_finite_and_consistent,
     find_and_check_specimen_or_none,
@@ -361,6 +362,7 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
                              "Add a [[specimen]], or use the scope 'per_test'", field=f"fit.scope.{name}")
     if table.method == "analytical":
         require_analytical_support_of_fit_table(table, named)
+    check_bulk_of_confined_tests(table, named, [test.kind for test in tests])
     by_path = {parameter.path: parameter for parameter in named.values()}
     start, fixed, prior, bounds = (
         {named[name].path: tuple(factor * end for end in value) if isinstance(value, tuple) else factor * value

@@ -6,7 +6,7 @@ Each error states the field.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -180,6 +180,28 @@ def require_analytical_support_of_fit_table(table: FitTable, named: Mapping[str,
             key = next(key for key in ("scope", *BY_PARAMETER) if name in getattr(table, key))
             raise InputError(f"the analytical method fits material parameters only; leave {name} out, or set "
                              "fit.method = 'inverse_fem'", field=f"fit.{key}.{name}")
+
+
+def check_bulk_of_confined_tests(table: FitTable, named: Mapping[str, ScopedCampaignParameter],
+                                 kinds: Sequence[TestKind]) -> None:
+    """Raise an `InputError` if a test between lateral walls has no bulk modulus, or another test ignores a fitted one.
+
+    Args:
+        table: table ``[fit]``.
+        named: parameters by their names in the file.
+        kinds: kinds of the tests.
+    """
+    confined = [kind.name for kind in kinds if kind.has_lateral_wall]
+    bulk = [name for name in named if named[name].path.startswith("bulk.")]
+    if not confined:
+        return
+    if table.bulk_ratio is None and not bulk:
+        raise InputError(f"must be given for {confined[0]}, whose force depends on the bulk modulus. State bulk_ratio, "
+                         "or bulk.K_Pa in [fit.start] and a test with free sides", field="fit.bulk_ratio")
+    incompressible = [kind.name for kind in kinds if not kind.has_lateral_wall]
+    if table.method == "analytical" and incompressible and any(name in table.start for name in bulk):
+        raise InputError(f"must be 'inverse_fem' to fit {bulk[0]}: the closed form of {incompressible[0]} assumes an "
+                         "incompressible material", field="fit.method")
 
 
 def check_values_finite_and_consistent(table: FitTable) -> None:

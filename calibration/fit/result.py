@@ -24,6 +24,7 @@ from tissue_sim.closed_form.column import Column
 from tissue_sim.errors import InputError
 from tissue_sim.laws import find_law
 from tissue_sim.material.file import MaterialFile, write_material_file
+from tissue_sim.material.material import make_material_from_numbers
 from tissue_sim.public_names import make_getattr_for_old_names
 from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
 
@@ -129,6 +130,28 @@ def describe_self_weight(campaign: Campaign, fit: Fit) -> str:
                  f"{words.format(*(_format_sag_range(found.values(), digits) for digits in (2, 3)))}"
                  for words, found in alike.items()]
     return " ".join(sentences) or "Self-weight is not included."
+
+
+def compute_aggregate_modulus_or_none(campaign: Campaign, fit: Fit) -> float | None:
+    """Return K + 4/3 mu0 of the law's parameters, Pa; None without a test in confined compression."""
+    if not any(test.kind.has_lateral_wall for test in campaign.tests):
+        return None
+    numbers = get_shared_and_population_mean_material(fit).parameters
+    law = find_law(fit.law)
+    others = {path: value for path, value in numbers.items() if path.startswith("bulk.")}
+    material = make_material_from_numbers(fit.law, {path: numbers[path] for path in law.parameters}, others,
+                                          campaign.fit.bulk)
+    return material.bulk_modulus + 4.0 / 3.0 * material.mu0
+
+
+def describe_aggregate_modulus(campaign: Campaign, fit: Fit) -> Iterator[str]:
+    """Yield a sentence about the aggregate modulus if the campaign has a test in confined compression."""
+    modulus = compute_aggregate_modulus_or_none(campaign, fit)
+    if modulus is None:
+        return
+    alone = all(test.kind.has_lateral_wall for test in campaign.tests)
+    yield (f"Aggregate modulus K + 4/3 mu0: {1e-3 * modulus:.4g} kPa." + (
+        " Confined compression determines this sum; mu0 follows from the stated K / mu0." if alone else ""))
 
 
 def _make_self_weight_sentence_and_sag_mm(specimen: Specimen, fit: Fit, campaign: Campaign, *,
@@ -261,6 +284,7 @@ def to_json_dictionary(results: Sequence[CalibrationResult]) -> dict[str, Any]:
         "predictions": list(msgspec.to_builtins(result.predictions)), "noise_Pa": result.noise_Pa,
         "noise_source": result.noise_source, "noise": list(msgspec.to_builtins(result.noise)),
         "message": result.message, "self_weight": describe_self_weight(result.campaign, result.best),
+        "aggregate_modulus_Pa": compute_aggregate_modulus_or_none(result.campaign, result.best),
         "usability_settings": dict(result.usability_settings),
         "output": str(result.output), "work": result.digest,
     }

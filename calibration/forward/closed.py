@@ -126,7 +126,8 @@ class ClosedFormTest:
         free = [(law.parameters.index(each.path), column) for column, each in enumerate(space.free_parameters)
                 if each.is_law_parameter and each.applies_to_recording(self.name, recording)]
         material = None
-        if set(space.names) != set(law.parameters):
+        needs_material = self.closed_form.needs_bulk
+        if needs_material or set(space.names) != set(law.parameters):
             try:
                 material = space.build_material(values, test=self.name, recording=recording)
             except InputError as error:
@@ -134,7 +135,8 @@ class ClosedFormTest:
         numbers = values if material is None else material.parameters
         return ClosedFormParameters(space, law, np.array([numbers[name] for name in law.parameters]), free, values,
                                     recording,
-                                    material if material is not None and material.is_history_dependent else None)
+                                    material if material is not None and (
+                                        needs_material or material.is_history_dependent) else None)
 
     def evaluate_force_and_derivatives(self, answers: list[ClosedFormParameters], recording: int, offset: float,
                                        contact: bool = True):

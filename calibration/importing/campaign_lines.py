@@ -19,7 +19,7 @@ from calibration.importing.imported import (
 )
 from calibration.importing.specimen_sizes import explain_unusable_size_or_empty
 from calibration.importing.zero import PRELOAD
-from tissue_sim.experiment.kinds.kind import KINDS, TestKind
+from tissue_sim.experiment.kinds.kind import KINDS, SizeNames, TestKind
 from tissue_sim.experiment.tools.tool import list_shapes_without_file
 from tissue_sim.recording.contact import (
     INTERVAL_DEVIATIONS,
@@ -235,9 +235,8 @@ def make_specimen_lines_and_missing(reading: TableGroup, wishes: ImportOptions, 
     lines, missing = [], []
     flat = "area_mm2" in sizes or (kind is not None and kind.has_gripped_ends and "radius_mm" not in sizes)
     lines.append(CampaignLine("shape", "prism" if flat else "cylinder"))
-    for key, what in (("area_mm2", "cross-section") if flat else ("radius_mm", "radius"),
-                      ("height_mm", "gauge length" if kind is not None and kind.name == "uniaxial_tension" else
-                       "thickness" if kind is not None and kind.name == "simple_shear" else "height")):
+    height = (SizeNames() if kind is None else kind.size_names).height[0]
+    for key, what in (("area_mm2", "cross-section") if flat else ("radius_mm", "radius"), ("height_mm", height)):
         if key in sizes:
             lines.append(CampaignLine(key, sizes[key].value, sizes[key].reason))
         else:
@@ -363,9 +362,14 @@ def _get_channel_name_in_flag(channel: str) -> str:
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
 
-def make_fit_lines(tests: Sequence[ImportedTest], wishes: ImportOptions) -> list[CampaignLine]:
-    """Return the lines of ``[fit]``: method, laws, bulk ratio, contact offset and viscoelastic start values."""
+def make_fit_lines_and_missing(tests: Sequence[ImportedTest], wishes: ImportOptions
+                               ) -> tuple[list[CampaignLine], list[str]]:
+    """Return the lines of ``[fit]`` and one phrase for each missing entry.
+
+    The lines are method, laws, bulk ratio, contact offset and viscoelastic start values.
+    """
     kinds = [KINDS[test.kind] for test in tests if test.kind]
+    missing: list[str] = []
     closed = all(kind.closed_form is not None for kind in kinds)
     method = "analytical" if closed else "inverse_fem"
     why = ("every test has a closed form" if closed else
@@ -373,7 +377,11 @@ def make_fit_lines(tests: Sequence[ImportedTest], wishes: ImportOptions) -> list
     lines = [CampaignLine("method", method, why),
              CampaignLine("laws", list(wishes.laws or DEFAULT_LAWS[method]),
                           "stated" if wishes.laws else "of two parameters at most")]
-    if not closed:
+    if any(kind.has_lateral_wall for kind in kinds):
+        lines.append(CampaignLine("bulk_ratio", None, "K / mu0; the test measures K + 4/3 mu0 only"))
+        missing.append("the ratio K / mu0 of the specimen in confined compression (fit.bulk_ratio, or bulk.K_Pa in "
+                       "fit.start and a test with free sides)")
+    elif not closed:
         lines.append(CampaignLine("bulk_ratio", _BULK_RATIO,
                                   "K / mu0; gels and soft tissues hardly change their volume"))
-    return [*lines, *make_contact_offset_lines(tests, bounded=closed), *make_prony_term_start_lines(tests)]
+    return [*lines, *make_contact_offset_lines(tests, bounded=closed), *make_prony_term_start_lines(tests)], missing

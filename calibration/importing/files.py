@@ -22,7 +22,7 @@ from calibration.importing.campaign_lines import (
     DEFAULT_LAWS,
     copy_interpretations_with_common_decimal_mark,
     get_specimen_sizes_by_priority,
-    make_fit_lines,
+    make_fit_lines_and_missing,
     make_specimen_lines_and_missing,
     make_test_lines_and_missing,
 )
@@ -280,7 +280,8 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     parts = [part for _, alike, *_ in groups for part in alike]
     tests, specimens, missing = _build_tests_specimens_and_missing(groups, wishes)
     reject_unused_options(wishes, understood, tests)
-    fit = make_fit_lines(tests, wishes)
+    fit, more = make_fit_lines_and_missing(tests, wishes)
+    missing = (*missing, *more)
 
     def format_campaign_for_folder(folder: Path, questions: Sequence[str] = ()) -> str:
         """Return the text of the campaign (TOML) with the paths of its recordings relative to `folder`."""

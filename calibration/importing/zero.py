@@ -205,9 +205,12 @@ def _fit_explanation_or_none(value: str, displacement: np.ndarray, load: np.ndar
         name: name of a law that is linear in its parameters.
 
     Returns:
-        None: the modulus is not positive, or the trial shifts compress the specimen to zero height.
+        None: the modulus is not positive, the trial shifts compress the specimen to zero height, or the law alone does
+            not determine the stress.
     """
     law, form = find_law(name), kind.require_closed_form()
+    if form.needs_bulk:
+        return None
     ones = np.ones(len(law.parameters))
 
     def get_squares_and_coefficients_at_shift(trial_shift: float) -> tuple[float, np.ndarray]:

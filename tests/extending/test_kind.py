@@ -21,8 +21,8 @@ area_mm2 = 150.0
 height_mm = 20.0
 
 [[test]]
-kind = "planar_tension"
-recordings = ["sheet_*.csv"]
+kind = "plane_strain_compression"
+recordings = ["block_*.csv"]
 
 [[test]]
 kind = "uniaxial_tension"
@@ -40,23 +40,25 @@ nominal_stress_Pa = 5.0
 
 
 def stress(stretch):
-    """Mooney-Rivlin written out: 2 (C10 + C01) (l - l^-3) in planar tension, 2 (C10 + C01/l) (l - l^-2) in uniaxial."""
+    """Mooney-Rivlin written out: 2 (C10 + C01) (l - l^-3) at constant width, 2 (C10 + C01/l) (l - l^-2) uniaxial."""
     C10, C01 = TRUTH.values()
     return 2 * (C10 + C01) * (stretch - stretch**-3), 2 * (C10 + C01 / stretch) * (stretch - stretch**-2)
 
 
 def write(folder):
-    stretch = np.linspace(1.0, 1.6, 61)
     noise = np.random.default_rng(2)
-    for name, values in zip(("sheet", "strip"), stress(stretch), strict=True):
-        force = values * AREA + noise.normal(0.0, 0.001, values.size)
-        channels = {"time": stretch - 1.0, "displacement": (stretch - 1.0) * HEIGHT, "force": force}
+    for number, (name, stretch) in enumerate({"block": np.linspace(1.0, 0.6, 61),
+                                              "strip": np.linspace(1.0, 1.6, 61)}.items()):
+        sign = np.sign(stretch[-1] - 1.0)
+        force = sign * stress(stretch)[number] * AREA + noise.normal(0.0, 0.001, stretch.size)
+        displacement = sign * (stretch - 1.0)
+        channels = {"time": displacement, "displacement": displacement * HEIGHT, "force": force}
         ts.write_recording(ts.Recording(channels), folder / f"{name}_1.csv")
 
 
 @pytest.fixture
 def kind(plugin, registers):
-    return registers(ts.KINDS, plugin("planar_tension").KIND)
+    return registers(ts.KINDS, plugin("channel_die").KIND)
 
 
 @pytest.mark.parametrize("method", ["analytical", "inverse_fem"])
@@ -65,22 +67,23 @@ def test_kind_of_one_file(kind, tmp_path, method):
     path = tmp_path / "study.toml"
     path.write_text(CAMPAIGN.replace("METHOD", method), encoding="utf-8")
     campaign = calibration.load_campaign(path)
-    assert [test.kind.name for test in campaign.tests] == ["planar_tension", "uniaxial_tension"]
+    assert [test.kind.name for test in campaign.tests] == ["plane_strain_compression", "uniaxial_tension"]
     result, = calibration.calibrate([path], tmp_path / "out", figures=False)
     assert result.best.parameters == pytest.approx(TRUTH, rel=0.03)
-    # What planar tension tells is the sum of the two.
+    # Plane strain determines the sum of both.
     assert sum(result.best.parameters.values()) == pytest.approx(sum(TRUTH.values()), rel=3e-3)
 
 
 def test_it_takes_its_words_over_from_the_tests_without_a_kind(kind, tmp_path):
-    stretch = np.linspace(1.0, 2.0, 21)
+    stretch = np.linspace(1.0, 0.6, 21)
     path = tmp_path / "a.csv"
-    path.write_text("Pure shear\nStretch [-],Nominal stress [Pa]\n" + "".join(
+    path.write_text("Plane strain\nStretch [-],Nominal stress [Pa]\n" + "".join(
         f"{a:.4f},{b:.4f}\n" for a, b in zip(stretch, stress(stretch)[0], strict=True)), encoding="utf-8")
-    for text in ("pure shear", "Planar tension", "cisaillement pur"):
-        assert [each.kind for each in find_named_tests([KindHint(text, "here")])] == ["planar_tension"]
+    for text in ("plane strain", "Channel die", "Plane strain compression"):
+        assert [each.kind for each in find_named_tests([KindHint(text, "here")])] == ["plane_strain_compression"]
     reading, = interpret_file(path).readings
-    assert reading.kind.kind == "planar_tension" and "'pure shear' above the numbers" in reading.kind.reason
+    assert reading.kind.kind == "plane_strain_compression"
+    assert "'plane strain' above the numbers" in reading.kind.reason
 
 
 def test_a_kind_has_words_of_its_own(registers):
@@ -91,12 +94,12 @@ def test_a_kind_has_words_of_its_own(registers):
 
 
 def test_its_recordings_need_its_channels(kind, tmp_path):
-    stretch = np.linspace(1.0, 1.6, 7)
+    stretch = np.linspace(1.0, 0.6, 7)
     ts.write_recording(ts.Recording({"stretch": stretch, "nominal stress": stress(stretch)[0]}), tmp_path / "a.csv")
-    assert len(ts.read_recording(tmp_path / "a.csv", kind="planar_tension")) == 7
+    assert len(ts.read_recording(tmp_path / "a.csv", kind="plane_strain_compression")) == 7
     ts.write_recording(ts.Recording({"shear strain": stretch, "nominal stress": stretch}), tmp_path / "b.csv")
-    with pytest.raises(ts.InputError, match="planar_tension needs columns 'displacement' and 'force' or 'stretch'"):
-        ts.read_recording(tmp_path / "b.csv", kind="planar_tension")
+    with pytest.raises(ts.InputError, match="plane_strain_compression needs columns 'displacement' and 'force' or 'stretch'"):
+        ts.read_recording(tmp_path / "b.csv", kind="plane_strain_compression")
 
 
 def test_a_kind_with_a_tool_is_a_scene(registers):

@@ -1,8 +1,9 @@
 """Homogeneous deformations for closed forms with history: stretches, second Piola-Kirchhoff stress, nominal stress.
 
-The hereditary integral acts on components of the isochoric second Piola-Kirchhoff stress S. The nominal stress is linear
-in these components. Along the principal axes, with the pressure from the free direction 3, the stress of the loaded
-direction i is P_i = l_i S_ii - l_3^2 S_33 / l_i. In simple shear it is P12 = S12 + gamma S22, without the pressure.
+The hereditary integral acts on components of the isochoric second Piola-Kirchhoff stress S. The nominal stress is
+linear in these components. Along the principal axes, with the pressure from the free direction 3, the stress of the
+loaded direction i is P_i = l_i S_ii - l_3^2 S_33 / l_i. In simple shear it is P12 = S12 + gamma S22, without the
+pressure.
 
 Source: Holzapfel, Nonlinear Solid Mechanics, 2000, sections 6.5 and 6.10.
 """
@@ -20,7 +21,7 @@ from tissue_sim.laws.modes import STRETCH_MODES, StretchMode
 
 
 class HomogeneousDeformation(ABC):
-    """Homogeneous isochoric deformation as a function of one or two abscissas.
+    """Homogeneous deformation as a function of one or two abscissas.
 
     Attributes:
         rest: abscissa of the undeformed specimen.
@@ -62,8 +63,24 @@ class HomogeneousDeformation(ABC):
         return
 
 
-class StretchDeformation(HomogeneousDeformation):
-    """Deformation along the principal axes; the direction 3 is free of stress.
+class _PrincipalDeformation(HomogeneousDeformation):
+    """Deformation by stretches along the principal axes."""
+
+    rest = 1.0
+    quantity = "stretch"
+
+    def measure_strain(self, abscissa: np.ndarray) -> np.ndarray:
+        """Return the logarithmic strain."""
+        return np.log(abscissa)
+
+    def require_valid(self, abscissa: np.ndarray) -> None:
+        """Raise an `InputError` unless every stretch is above 0."""
+        if (abscissa <= 0).any():
+            raise InputError(f"must be above 0 (1 is undeformed); got {abscissa.min():g}.", field=self.quantity)
+
+
+class StretchDeformation(_PrincipalDeformation):
+    """Deformation of constant volume; the direction 3 is free of stress.
 
     The components of S are S_11 (for two abscissas S_11 and S_22) and S_33.
 
@@ -71,15 +88,8 @@ class StretchDeformation(HomogeneousDeformation):
         mode: principal stretches.
     """
 
-    rest = 1.0
-    quantity = "stretch"
-
     def __init__(self, mode: StretchMode):
         self.mode, self.count = mode, mode.stretch_count
-
-    def measure_strain(self, abscissa: np.ndarray) -> np.ndarray:
-        """Return the logarithmic strain."""
-        return np.log(abscissa)
 
     def _compute_loaded_and_free_stretches(self, abscissa: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the principal stretches, shape (n, 3), and those of loaded directions and the free one, (n, c)."""
@@ -101,10 +111,23 @@ class StretchDeformation(HomogeneousDeformation):
             weights[:, i, -1] = -used[:, -1]**2 / used[:, i]
         return weights
 
-    def require_valid(self, abscissa: np.ndarray) -> None:
-        """Raise an `InputError` unless every stretch is above 0."""
-        if (abscissa <= 0).any():
-            raise InputError(f"must be above 0 (1 is undeformed); got {abscissa.min():g}.", field=self.quantity)
+
+class ConfinedDeformation(_PrincipalDeformation):
+    """Uniaxial strain with J = stretch; the component of S is S_11, the nominal stress l S_11.
+
+    With memory S_11 is that of the hereditary integral, whose Kirchhoff stress may have a trace, as in the finite
+    elements. The volumetric stress is added by `tissue_sim.closed_form.confined`.
+    """
+
+    def compute_energy_and_stress(self, law: Law, values, abscissa: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return energy and S_11 = tau_1 / l^2; see the base class."""
+        sides = np.ones_like(abscissa[:, 0])
+        energy, tau = law.compute_energy_and_kirchhoff_stresses(np.stack([abscissa[:, 0], sides, sides], axis=-1), values)
+        return energy, tau[:, :1] / abscissa**2
+
+    def compute_nominal_stress_weights(self, abscissa: np.ndarray) -> np.ndarray:
+        """Return the weight l; see the base class."""
+        return abscissa[:, :, None]
 
 
 class SimpleShear(HomogeneousDeformation):
@@ -134,4 +157,5 @@ class SimpleShear(HomogeneousDeformation):
 
 #: Mode of a law -> deformation.
 DEFORMATIONS: dict[str, HomogeneousDeformation] = {
-    **{name: StretchDeformation(mode) for name, mode in STRETCH_MODES.items()}, "simple_shear": SimpleShear()}
+    **{name: StretchDeformation(mode) for name, mode in STRETCH_MODES.items()}, "confined": ConfinedDeformation(),
+    "simple_shear": SimpleShear()}

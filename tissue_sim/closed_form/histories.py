@@ -93,7 +93,7 @@ class StrainHistory:
 
     def _compute_softened_second_piola_stress(self, law: Law, values, factor: float,
                                               softening: Softening | None) -> np.ndarray:
-        """Compute the components of the elastic stress S with softening, without relaxation, Pa, (points, components)."""
+        """Compute the components of the elastic stress S with softening, without relaxation, Pa, shape (points, m)."""
         energy, S = self.deformation.compute_energy_and_stress(law, values, self._divided_steps_strains_and_samples[1])
         if softening is not None:
             energy = factor * energy
@@ -131,7 +131,8 @@ class StrainHistory:
             samples.
         """
         dt, _, samples = self._divided_steps_strains_and_samples
-        stress, weights = self._compute_softened_second_piola_stress(law, values, factor, softening), self._sample_weights
+        stress = self._compute_softened_second_piola_stress(law, values, factor, softening)
+        weights = self._sample_weights
         relaxing = compute_internal_stress_history_over_g(dt, stress, tau)[samples]
         elastic = np.einsum("nac,nc->na", weights, stress[samples])
         return elastic.reshape(self.strain.shape), np.einsum("nac,nct->nat", weights, relaxing).reshape(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,6 +30,14 @@ class ClosedForm:
     rest: float = 1.0
     label: str = "stretch [-]"
     lateral: float = 0.5
+
+    #: Whether the stress depends on the bulk modulus, so that it is a function of the material and not of the law.
+    needs_bulk: ClassVar[bool] = False
+
+    @property
+    def has_column(self) -> bool:
+        """Whether a column under its own weight has a closed form; see `tissue_sim.closed_form.column`."""
+        return self.law_mode == "uniaxial"
 
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return the nominal stress without history, Pa, negative in compression, shape of `abscissa`.
@@ -82,5 +90,7 @@ class ClosedForm:
 UNIAXIAL = ClosedForm("uniaxial", "uniaxial")
 #: Simple shear.
 SIMPLE_SHEAR = ClosedForm("simple_shear", "planar", rest=0.0, label="shear strain [-]")
-#: Tension of a sheet at constant width.
+#: Tension of a wide sheet at constant width (pure shear).
 PLANAR = ClosedForm("planar", "planar", lateral=1.0)
+#: Equal tension in two directions of a sheet; the stress is that of one direction.
+EQUIBIAXIAL = ClosedForm("equibiaxial", "equibiaxial", lateral=2.0)

@@ -114,6 +114,7 @@ class Experiment:
             plates, and to the face of a needle. None if the tool's face is not bonded.
         contact_laws: additional laws by name; see `tissue_sim.experiment.contact_law`. A sequence of laws is accepted.
         approach: offset and angle of the tool; None: on the axis. Only three-dimensional solvers accept another one.
+        has_lateral_wall: whether rigid walls without friction hold the side of the specimen between two plates.
 
     Raises:
         InputError: an interface that does not fit, a protocol deeper than the specimen, a needle as wide as the
@@ -132,6 +133,7 @@ class Experiment:
     slip: float | None = parameter("s", "1", key="slip", bounds=(0.0, 1.0), absent=0.0, default=None)
     contact_laws: Mapping[str, ContactLaw] = field(default_factory=dict)
     approach: Approach | None = None
+    has_lateral_wall: bool = False
     with_free_faces = OldName("with_slipping_faces_frictionless")
     base_interface = OldName("resolved_base_interface")
 
@@ -175,6 +177,10 @@ class Experiment:
         if not self.tool.has_shaft and self.friction_wall != "frictionless":
             raise InputError(f"requires a tool with a shaft; got a {self.tool.shape}. Leave friction_wall out",
                              field="friction_wall")
+        if self.has_lateral_wall and not (self.tool.is_plate and self.specimen.is_prism):
+            raise InputError("requires a plate and a specimen of constant cross-section; got a "
+                             f"{self.tool.shape} on {self.specimen.in_words}. Leave the wall out",
+                             field="has_lateral_wall")
         radius = self.tool.radius
         if self.tool.is_plate and self.approach is not None:
             raise InputError("a plate covers the whole top and comes down its axis; leave the approach out",

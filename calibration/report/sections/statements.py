@@ -15,7 +15,7 @@ from calibration.campaign.tables import ROUND_SOLVER
 from calibration.diagnosis.diagnosis import join_as_enumeration
 from calibration.fit.fit import Fit
 from calibration.fit.population import describe_excluded_specimens
-from calibration.fit.result import CalibrationResult, describe_self_weight
+from calibration.fit.result import CalibrationResult, describe_aggregate_modulus, describe_self_weight
 from calibration.forward.meshes import get_solver_fit_resolutions
 from calibration.report.content import Block, Listing, Pasted, Span
 from calibration.report.drawing import format_count
@@ -275,16 +275,18 @@ def _list_calibration_assumptions(result: CalibrationResult, units: ReportUnits)
     if campaign.fit.fixed:
         lines.append(f"Fixed: {', '.join(f'{name} = {value:g}' for name, value in campaign.fit.fixed.items())}.")
     lines += [f"Prior of {name}: {mean:g} ± {deviation:g}." for name, (mean, deviation) in campaign.fit.prior.items()]
-    return [*lines, describe_self_weight(campaign, result.best)]
+    return [*lines, *describe_aggregate_modulus(campaign, result.best), describe_self_weight(campaign, result.best)]
 
 
 def _list_analytical_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]:
     """Return the assumptions of a fit with closed forms, one sentence each."""
     fit, noise = result.campaign.fit, result.campaign.noise
-    lines = ["The material is incompressible; its viscoelastic parameters are fitted to ramps, holds and unloading."]
-    if not fit.stated_non_law_parameter_paths:
-        lines = ["The material is incompressible and elastic: only the loading is fitted, and the speed has no "
-                 "influence."]
+    volume = "incompressible"
+    if any(test.kind.has_lateral_wall for test in result.campaign.tests):
+        volume = "compressible in confined compression"
+    lines = [f"The material is {volume}; its viscoelastic parameters are fitted to ramps, holds and unloading."]
+    if all(path.startswith("bulk.") for path in fit.stated_non_law_parameter_paths):
+        lines = [f"The material is {volume} and elastic: only the loading is fitted, and the speed has no influence."]
     if any(test.kind.has_closed_form_with_weight for test in result.campaign.tests):
         lines.append("Lubricated means frictionless: the faces slide freely and every slice deforms homogeneously.")
     if fit.offset == "none":

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from calibration.diagnosis.diagnosis import join_as_enumeration
 from calibration.fit.ranking import does_any_law_predict_a_held_out_test
-from calibration.fit.result import describe_self_weight, list_method_agreement_sentences
+from calibration.fit.result import describe_aggregate_modulus, describe_self_weight, list_method_agreement_sentences
 from calibration.report.content import Table, get_terminal_text
 from calibration.report.curve_figures import describe_region, format_p_value_text
 from calibration.report.drawing import format_count
@@ -248,6 +248,7 @@ def _iterate_noise_mesh_and_weight_remarks(result: CalibrationResult, tests: Map
     meshes = [f"{mesh.test} {mesh.largest_percent:.2g} %" for mesh in result.best.mesh if mesh.largest_percent]
     if meshes:
         yield f"difference between accurate and fast mesh, included in the fit: {', '.join(meshes)}"
+    yield from describe_aggregate_modulus(result.campaign, result.best)
     yield describe_self_weight(result.campaign, result.best)
 
 

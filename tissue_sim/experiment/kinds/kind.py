@@ -44,6 +44,20 @@ class FaceInterface:
     stated: bool = False
 
 
+@dataclass(frozen=True)
+class SizeNames:
+    """Names by which files and messages state the sizes of a specimen in a kind of test.
+
+    Attributes:
+        height: names of the size along the load, the first in messages; a file that states several is read in this
+            order.
+        second: names of the size that with the width makes a rectangular cross-section.
+    """
+
+    height: tuple[str, ...] = ("height", "thickness", "length", "gauge length", "gap")
+    second: tuple[str, ...] = ("length", "depth", "thickness")
+
+
 @with_old_names(can_pull="allows_reversed_load")
 @dataclass(frozen=True, kw_only=True)
 class TestKind:
@@ -55,14 +69,19 @@ class TestKind:
         tool: default tool; a plate admits plates only, a needle all tools but plates. None: the specimen is gripped at
             both ends, and the test is not simulated.
         tool_stated: whether a campaign must state the shape of the tool.
+        has_lateral_wall: whether rigid walls without friction hold the side of the specimen.
         face, base, shaft: interfaces of the tool's face, of the base and of a needle's shaft.
         control: ``"displacement"``.
         sign: sign of strain and nominal stress for positive displacement and force: -1 in compression, 1 in tension.
         channels: pairs (motion, load); a recording needs one of them. The first is that of a load frame.
         closed_form: nominal stress of the homogeneous deformation; None if only finite elements give the force.
+        size_names: names of the sizes of the specimen.
         title_words: regular expressions of words by which titles and headers of files name the test, in addition to
             `name` and `title`: lower case, without accents, words separated by one blank. Of overlapping words the
             longest counts; see `tissue_sim.recording.formats.kind_words`.
+        file_words: abbreviations that are recognised only in the name of a file.
+        sole_words: words that are recognised only as the complete text, such as the name of a sheet, with or without a
+            number, or in an entry for the test method that names no other test.
 
     Raises:
         InputError: another control, or neither a tool nor a closed form.
@@ -74,6 +93,7 @@ class TestKind:
     title: str
     tool: Tool | None
     tool_stated: bool = False
+    has_lateral_wall: bool = False
     face: FaceInterface = FaceInterface("bonded", fixed=True)
     base: FaceInterface = FaceInterface("bonded", fixed=True)
     shaft: FaceInterface = FaceInterface("frictionless")
@@ -81,7 +101,10 @@ class TestKind:
     sign: float
     channels: tuple[tuple[str, str], ...] = (DISPLACEMENT_FORCE,)
     closed_form: ClosedForm | None = None
+    size_names: SizeNames = SizeNames()
     title_words: tuple[str, ...] = ()
+    file_words: tuple[str, ...] = ()
+    sole_words: tuple[str, ...] = ()
 
     def __post_init__(self):
         if self.control != "displacement":
@@ -115,7 +138,7 @@ class TestKind:
     @property
     def has_closed_form_with_weight(self) -> bool:
         """Whether a closed form exists also under self-weight: that of `tissue_sim.closed_form.column`."""
-        return self.closed_form is not None and self.tool is not None
+        return self.closed_form is not None and self.closed_form.has_column and self.tool is not None
 
     @property
     def loading_type_name(self) -> str:
@@ -232,7 +255,8 @@ class TestKind:
         from tissue_sim.experiment.experiment import Experiment
 
         tool = overrides.get("tool") or self.require_tool()
-        stated: dict[str, Any] = {"tool": tool, **self.make_default_interfaces_by_field(tool)} | overrides
+        stated: dict[str, Any] = {"tool": tool, "has_lateral_wall": self.has_lateral_wall,
+                                  **self.make_default_interfaces_by_field(tool)} | overrides
         return Experiment(specimen, protocol, **stated)
 
 
@@ -241,7 +265,10 @@ KINDS: Registry[TestKind] = Registry("kind of test", "tissue_sim.kinds", {
     "lubricated_compression": "tissue_sim.experiment.kinds.standard_tests:LUBRICATED",
     "bonded_compression": "tissue_sim.experiment.kinds.standard_tests:BONDED",
     "friction_compression": "tissue_sim.experiment.kinds.standard_tests:FRICTION",
+    "confined_compression": "tissue_sim.experiment.kinds.confined_compression:CONFINED_COMPRESSION",
     "needle_indentation": "tissue_sim.experiment.kinds.standard_tests:NEEDLE",
     "uniaxial_tension": "tissue_sim.experiment.kinds.standard_tests:TENSION",
     "simple_shear": "tissue_sim.experiment.kinds.standard_tests:SHEAR",
+    "planar_tension": "tissue_sim.experiment.kinds.sheet_tension:PLANAR_TENSION",
+    "equibiaxial_tension": "tissue_sim.experiment.kinds.sheet_tension:EQUIBIAXIAL_TENSION",
 }, accepts=lambda kind: isinstance(kind, TestKind), expected="a tissue_sim.TestKind")

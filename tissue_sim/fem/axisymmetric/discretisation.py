@@ -198,7 +198,7 @@ def build_solver_on_mesh(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     held = {}
     if experiment.friction == "bonded":
         held = {"top" if experiment.tool.is_plate else "face": "rz"}
-    return AxisymmetricSolver(mesh, model.material, _get_base_fixed_components_by_node_set(experiment), held,
+    return AxisymmetricSolver(mesh, model.material, _get_fixed_components_by_node_set(experiment), held,
                               contact=_build_contact_pairs_or_none(experiment, mesh, homogeneous=uniform),
                               specific_weight=weight, element_layers=layers, contact_radius=experiment.contact_radius,
                               start=start)
@@ -213,10 +213,11 @@ def find_element_layer_indices(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndar
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), depth)
 
 
-def _get_base_fixed_components_by_node_set(experiment: Experiment) -> dict[str, str]:
-    """Return the fixed components of the base, node set -> components."""
+def _get_fixed_components_by_node_set(experiment: Experiment) -> dict[str, str]:
+    """Return the fixed components of base and side, node set -> components."""
     interface = experiment.resolved_base_interface
-    return {"base": _FIXED_COMPONENTS[interface]} if interface in _FIXED_COMPONENTS else {}
+    base = {"base": _FIXED_COMPONENTS[interface]} if interface in _FIXED_COMPONENTS else {}
+    return base | ({"side": "r"} if experiment.has_lateral_wall else {})
 
 
 def _build_contact_pairs_or_none(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
@@ -259,7 +260,7 @@ class _SelfWeight:
     def make_solver(self, stretch: float) -> AxisymmetricSolver:
         """See `SelfWeightProblem.make_solver`."""
         experiment, mesh = self.model.experiment, self.mesh.scale_height(stretch)
-        return AxisymmetricSolver(mesh, self.model.material, _get_base_fixed_components_by_node_set(experiment), {},
+        return AxisymmetricSolver(mesh, self.model.material, _get_fixed_components_by_node_set(experiment), {},
                                   contact=_build_contact_pairs_or_none(experiment, mesh, tool=False),
                                   element_layers=self.layers, contact_radius=experiment.contact_radius)
 

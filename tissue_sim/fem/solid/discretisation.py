@@ -365,7 +365,10 @@ def _differentiate_first_touch_or_none(
 
 
 def _map_fixed_node_set_to_axes(experiment: Experiment) -> dict[str, str]:
-    return {"base": _FIXED[experiment.resolved_base_interface]} if experiment.resolved_base_interface in _FIXED else {}
+    """Return the fixed axes of base and side, node set -> axes; a lateral wall also prevents slip around the axis."""
+    interface = experiment.resolved_base_interface
+    base = {"base": _FIXED[interface]} if interface in _FIXED else {}
+    return base | ({"side": "xy"} if experiment.has_lateral_wall else {})
 
 
 def _make_solver_without_tool(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
@@ -393,6 +396,8 @@ def _choose_rigid_motion_pins(experiment: Experiment, mesh: SolidMesh) -> list[t
     Raises:
         InputError: the tool or the middle node is off the axis, so that the pins would carry a lateral force.
     """
+    if experiment.has_lateral_wall:
+        return []
     faces = experiment.resolved_base_interface, experiment.friction
     without, rubbed = (all(loose(face) for face in faces) for loose in (_is_frictionless, _may_slip))
     if not (without or (rubbed and experiment.tool.is_plate)):

@@ -13,6 +13,7 @@ import unicodedata
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
@@ -45,28 +46,11 @@ _NOT_HOMOGENEOUS = "not homogeneous: a modulus from total force and displacement
 
 #: The table; each row completes the sentence "<title> is <difference>".
 UNKNOWN_TESTS: tuple[KnownTestWithoutKind, ...] = (
-    KnownTestWithoutKind("planar_tension", "planar tension (pure shear)", (
-        r"planar ?(tension|tensile|extension|elongation|stretch\w*|zug\w*|test)", r"pure ?shear",
-        r"strip biax\w*", r"(width )?constrained (width )?(tension|tensile)", r"plane strain (tension|tensile)",
-        r"wide strip", r"eben\w* zug\w*", r"planar\w* (zug\w*|dehnung)", r"rein\w* (scher\w*|schub\w*)",
-        r"reinscher\w*",
-        r"cisaillement pur", r"(traction|tension|extension) plan\w*"),
-        "neither simple shear nor uniaxial tension: the width is constrained, and a modulus of either would be wrong",
-        short=("ps", "pt"), alone=("planar",)),
-    KnownTestWithoutKind("equibiaxial_tension", "biaxial tension", (
-        r"equi ?biax\w*", r"bi ?axial\w*", r"biax\w*", r"(a|ae)qui ?biax\w*", r"gleichbiax\w*", r"zweiachs\w*",
+    KnownTestWithoutKind("biaxial_tension", "biaxial tension", (
+        r"bi ?axial\w*( (tension|tensile|extension|test\w*))?", r"biax\w*", r"zweiachs\w*( zug\w*)?",
         r"biaxialzug\w*"),
-        "not uniaxial tension: the specimen is loaded along two axes, and a uniaxial stress would be wrong",
-        short=("eb", "ebt", "bt")),
-    KnownTestWithoutKind("confined_compression", "confined compression", (
-        r"confined( compress\w*)?", r"confining", r"confinement", r"porous (platens?|plates?|filters?)",
-        r"(radially |laterally )?(confined|constrained|restrained) compress\w*",
-        r"compress\w* confinee?", r"confinee?", r"o?edomet\w*", r"laterally (confined|constrained|restrained)",
-        r"uniaxial strain", r"(ein|um)geschlossen\w*( (kompress\w*|druck\w*))?",
-        r"(seitlich|radial) (begrenzt|behindert|gehalten|gefuhrt)\w*",
-        r"(behindert\w*|verhindert\w*) (quer|seiten)dehnung", r"eingeschrankt\w* (kompress\w*|druck\w*)",
-        r"aggregate modulus"),
-        "not compression between plates: the specimen cannot widen, and the force measures the aggregate modulus"),
+        "not uniaxial tension: the specimen is loaded along two axes. If both stretches are equal, state "
+        "--kind equibiaxial_tension", short=("bt",)),
     KnownTestWithoutKind("plane_strain_compression", "plane strain compression", (
         r"plane strain( compress\w*)?", r"channel die", r"eben\w* (dehnung\w*|stauch\w*|verzerrung\w*)",
         r"deformation plane"),
@@ -167,8 +151,6 @@ UNKNOWN_TESTS: tuple[KnownTestWithoutKind, ...] = (
 )
 
 
-#: Kind -> abbreviations that are recognised only in the name of a file.
-_SHORT = {"simple_shear": ("ss",), "uniaxial_tension": ("ut",), "lubricated_compression": ("uc",)}
 #: Number of characters of a line that are searched.
 _LONGEST_LINE = 2000
 #: Entries above a table whose value is the name of a person, a company, a program or a machine.
@@ -263,8 +245,7 @@ def _iterate_tests_in_line(line: str, hint: KindHint) -> Iterator[NamedTest]:
     """
     text = normalize_and_truncate_line(line)
     matches: list[tuple[int, int, bool, NamedTest]] = []
-    for pattern, kind, unknown, is_short in _compile_patterns_of_kinds_and_unregistered_tests(
-        _list_names_titles_words_of_kinds()):
+    for pattern, kind, unknown, is_short in _compile_patterns_of_kinds_and_unregistered_tests(_list_words_of_kinds()):
         if is_short and not hint.is_file_name:
             continue
         for match in pattern.finditer(text):
@@ -272,9 +253,11 @@ def _iterate_tests_in_line(line: str, hint: KindHint) -> Iterator[NamedTest]:
                             NamedTest(match[0], hint.where, kind, unknown, is_short)))
     entry = None if matches else _TEST_ENTRIES.match(text)
     if entry is not None:
-        yield from (NamedTest(found[0], hint.where, unknown=unknown)
-                    for unknown in _list_unregistered_tests(_list_names_titles_words_of_kinds())
-                    for word in unknown.alone if (found := re.search(rf"\b{word}\b", entry["value"])))
+        kinds = _list_words_of_kinds()
+        sole = [(word, each.name, None) for each in kinds for word in each.sole]
+        sole += [(word, None, unknown) for unknown in _list_unregistered_tests(kinds) for word in unknown.alone]
+        yield from (NamedTest(found[0], hint.where, kind, unknown) for word, kind, unknown in sole
+                    if (found := re.search(rf"\b{word}\b", entry["value"])))
     # Longest match first; of equal lengths, a registered kind first. A match that overlaps a longer one is ignored.
     matches.sort(key=lambda each: (each[0] - each[1], each[2]))
     kept: list[tuple[int, int, bool, NamedTest]] = []
@@ -284,31 +267,40 @@ def _iterate_tests_in_line(line: str, hint: KindHint) -> Iterator[NamedTest]:
     yield from (named for *_, named in sorted(kept, key=lambda each: each[0]))
 
 
-def _list_names_titles_words_of_kinds() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
-    """Return (name, title, title words) of all registered kinds.
+class _KindWords(NamedTuple):
+    """Words that name a registered kind; see `TestKind`."""
 
-    They are the hashable key of `_compile_patterns_of_kinds_and_unregistered_tests`.
-    """
-    return tuple((name, kind.title, kind.title_words) for name, kind in KINDS.items())
+    name: str
+    title: str
+    words: tuple[str, ...]
+    short: tuple[str, ...]
+    sole: tuple[str, ...]
 
 
-def _list_unregistered_tests(
-        kinds: tuple[tuple[str, str, tuple[str, ...]], ...]) -> tuple[KnownTestWithoutKind, ...]:
+def _list_words_of_kinds() -> tuple[_KindWords, ...]:
+    """Return the words of all registered kinds, the hashable key of the compiled patterns."""
+    return tuple(_KindWords(name, kind.title, kind.title_words, kind.file_words, kind.sole_words)
+                 for name, kind in KINDS.items())
+
+
+def _list_unregistered_tests(kinds: tuple[_KindWords, ...]) -> tuple[KnownTestWithoutKind, ...]:
     """Return the tests of `UNKNOWN_TESTS` under whose name no kind is registered."""
-    names = {name for name, *_ in kinds}
+    names = {each.name for each in kinds}
     return tuple(test for test in UNKNOWN_TESTS if test.name not in names)
 
 
 @lru_cache(maxsize=8)
-def _compile_patterns_of_kinds_and_unregistered_tests(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
+def _compile_patterns_of_kinds_and_unregistered_tests(kinds: tuple[_KindWords, ...]
                                                       ) -> tuple[tuple[re.Pattern[str], str | None,
                                                                        KnownTestWithoutKind | None, bool], ...]:
     """Return (pattern, kind, test without a kind, whether the word is an abbreviation) of all words."""
     words: list[tuple[str, str | None, KnownTestWithoutKind | None, bool]] = []
-    for name, title, own in kinds:
-        words += [(rf"\b(?:{word})\b", name, None, False)
-                  for word in (*own, normalize_and_truncate_line(name), normalize_and_truncate_line(title))]
-        words += [(rf"\b(?:{word})\b", name, None, True) for word in _SHORT.get(name, ())]
+    for each in kinds:
+        words += [(rf"\b(?:{word})\b", each.name, None, False)
+                  for word in (*each.words, normalize_and_truncate_line(each.name),
+                               normalize_and_truncate_line(each.title))]
+        words += [(rf"\b(?:{word})\b", each.name, None, True) for word in each.short]
+        words += [(rf"^(?:{word})(?: \d+)*$", each.name, None, False) for word in each.sole]
     without_kind = _list_unregistered_tests(kinds)
     for test in UNKNOWN_TESTS:
         # A registered kind with this name receives the words.

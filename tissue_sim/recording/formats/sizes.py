@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
+from tissue_sim.experiment.kinds.kind import KINDS, SizeNames, TestKind
 from tissue_sim.recording.formats.number_text import parse_number_preferring_point_or_nan
 from tissue_sim.recording.formats.table import TableRow
 from tissue_sim.recording.formats.vocabulary import classify_size_name, normalize_header_text
@@ -78,13 +79,8 @@ _OTHER_SPEED_WORDS = re.compile(r"\b(probe|tool|cell|wave|step|data|path|pre)\b"
 #: Unit of speed -> factor to mm/s.
 _SPEED_FACTORS = {"mm/min": 1.0 / 60.0, "mm/s": 1.0, "mm/sec": 1.0, "um/s": 1e-3, "µm/s": 1e-3, "in/min": 25.4 / 60.0,
                   "cm/min": 10.0 / 60.0}
-#: Kind of test -> sizes that may be the height of the specimen; the first stated one is used.
-_HEIGHT_NAMES = {"uniaxial_tension": ("gauge length", "length", "height"),
-                 "simple_shear": ("thickness", "height", "length", "gap")}
-#: Sizes that may be the height in any other kind of test, in the order of preference.
-_DEFAULT_HEIGHT_NAMES = ("height", "thickness", "length", "gauge length", "gap")
-#: Kinds of test with a gripped specimen. The cross-section of a gripped specimen may have any shape.
-_GRIPPED_KINDS = ("uniaxial_tension", "simple_shear")
+#: Names of sizes while the kind of test is unknown.
+_DEFAULT_SIZE_NAMES = SizeNames()
 #: Size in mm or mm2, its relative rounding error, and the keys that state the size.
 _Candidate = tuple[float, float, tuple[str, ...]]
 
@@ -148,13 +144,16 @@ def find_used_and_contradicting_sizes_in_mm(statements: Mapping[str, str],
         if name is not None and one is not None:
             known.setdefault(name, []).append(one)
     found: dict[str, tuple[SizeOrSpeedInMillimetres, ...]] = {}
-    height = next((name for name in _HEIGHT_NAMES.get(kind or "", _DEFAULT_HEIGHT_NAMES) if name in known), None)
+    test = None if kind is None else KINDS[kind]
+    names = _DEFAULT_SIZE_NAMES if test is None else test.size_names
+    height = next((name for name in names.height if name in known), None)
     if height is not None:
         found["height_mm"] = _make_sizes_of_distinct_candidates("height_mm",
                                                                 [(1e3 * each.value, each.rounding, (each.key,))
                                                                  for each in known[height]], statements)
-    flat = kind in _GRIPPED_KINDS
-    rectangles = _compute_rectangular_areas_mm2(known, kind, height)
+    # The cross-section of a gripped specimen may have any shape.
+    flat = test is not None and test.has_gripped_ends
+    rectangles = _compute_rectangular_areas_mm2(known, test, height)
     radii: list[_Candidate] = [
              (1e3 * factor * each.value, each.rounding, (each.key,))
              for name, factor in (("diameter", 0.5), ("radius", 1.0), ("circumference", 0.5 / math.pi))
@@ -169,7 +168,7 @@ def find_used_and_contradicting_sizes_in_mm(statements: Mapping[str, str],
     return found
 
 
-def _compute_rectangular_areas_mm2(known: Mapping[str, Sequence[_SizeInSiWithRounding]], kind: str | None,
+def _compute_rectangular_areas_mm2(known: Mapping[str, Sequence[_SizeInSiWithRounding]], kind: TestKind | None,
                                    height: str | None) -> list[_Candidate]:
     """Return cross-sections of rectangular specimens, mm2: width * thickness, or width * length of a block.
 
@@ -178,8 +177,7 @@ def _compute_rectangular_areas_mm2(known: Mapping[str, Sequence[_SizeInSiWithRou
         kind: kind of test; None: unknown.
         height: name of the size that is the height; None: no stated height.
     """
-    second = {"simple_shear": ("length",), "uniaxial_tension": ("thickness",)}.get(
-        kind or "", ("length", "depth", "thickness"))
+    second = (_DEFAULT_SIZE_NAMES if kind is None else kind.size_names).second
     other = next((name for name in second if name in known and name != height), None)
     if other is None or "width" not in known or (kind is None and other == "thickness"):
         return []

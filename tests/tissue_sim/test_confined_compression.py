@@ -1,0 +1,84 @@
+"""Confined compression: closed form, finite elements of both solvers, aggregate modulus, and what is refused."""
+
+import numpy as np
+import pytest
+
+import tissue_sim as ts
+from tissue_sim.closed_form.confined import CONFINED
+
+#: Radius and height of the specimen, m.
+SIZE = 0.010
+KIND = ts.KINDS["confined_compression"]
+LAWS = {"neo_hooke": {"C10": 1000.0}, "reduced_polynomial_2": {"C10": 1404.9, "C20": 699.4},
+        "ogden_1": {"mu1": 3000.0, "alpha1": -4.0}}
+
+
+def make_material(law, ratio=5.0, **options):
+    return ts.Material(law, LAWS[law], ts.Bulk("bulk_ratio", ratio), **options)
+
+
+def compute_stress(material, recording):
+    return -CONFINED.stress_history(material, recording.time, 1.0 - recording.displacement / SIZE, SIZE)
+
+
+def simulate(material, protocol, solver="axisymmetric"):
+    experiment = KIND.experiment(specimen=ts.Specimen(SIZE, SIZE), protocol=protocol)
+    return ts.simulate(ts.Model(experiment, material), solver=solver)
+
+
+def test_stress_of_neo_hooke_written_out():
+    """P = 2 C10 J^(-5/3) (l^2 - (l^2 + 2) / 3) + K (l - 1), with J = l."""
+    stretch = np.array([0.6, 0.8, 1.0, 1.1])
+    written = 2000.0 * stretch**(-5 / 3) * (stretch**2 - (stretch**2 + 2) / 3) + 1e4 * (stretch - 1)
+    found = CONFINED.stress_history(make_material("neo_hooke"), np.arange(4.0), stretch, SIZE)
+    np.testing.assert_allclose(found, written, rtol=1e-12, atol=1e-9)
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_aggregate_modulus_at_small_strain(law):
+    material = make_material(law)
+    slope = CONFINED.stress_history(material, [0.0], np.array([1.0 - 1e-6]), SIZE)[0] / -1e-6
+    assert slope == pytest.approx(material.bulk_modulus + 4 / 3 * material.mu0, rel=1e-5)
+
+
+@pytest.mark.parametrize("ratio", [2.0, 50.0, 1e4])
+@pytest.mark.parametrize("law", LAWS)
+def test_axisymmetric_elements(law, ratio):
+    material = make_material(law, ratio)
+    recording = simulate(material, ts.Protocol.ramp(0.2 * SIZE, 4))
+    np.testing.assert_allclose(recording.force / (np.pi * SIZE**2), compute_stress(material, recording), rtol=1e-8,
+                               atol=1e-6)
+
+
+def test_solid_elements():
+    """A block has no faceting error; the allowed penetration of the plates changes the force by 1e-7."""
+    material = make_material("reduced_polynomial_2")
+    experiment = KIND.experiment(specimen=ts.Block(SIZE, SIZE, SIZE), protocol=ts.Protocol.ramp(0.2 * SIZE, 3))
+    recording = ts.simulate(ts.Model(experiment, material), solver="solid")
+    np.testing.assert_allclose(recording.force / SIZE**2, compute_stress(material, recording), rtol=2e-7, atol=1e-6)
+
+
+def test_relaxation_agrees_with_elements():
+    material = make_material("neo_hooke", viscoelastic=ts.Prony((ts.PronyTerm(0.4, 2.0),)))
+    recording = simulate(material, ts.Protocol.parse("ramp 3mm @1mm/s; hold 5s", points=60))
+    stress = compute_stress(material, recording)
+    # The closed form divides steps, the elements do not.
+    np.testing.assert_allclose(recording.force / (np.pi * SIZE**2), stress, atol=1e-5 * stress.max())
+    # The volumetric stress does not relax.
+    assert stress[-1] > 1.01 * material.bulk_modulus * 0.3
+
+
+def test_incompressible_material_is_refused():
+    material = ts.Material("neo_hooke", LAWS["neo_hooke"])
+    with pytest.raises(ts.InputError, match=r"bulk: must be finite in confined compression"):
+        CONFINED.stress_history(material, [0.0], np.array([0.9]), SIZE)
+    with pytest.raises(ts.InputError, match=r"bulk: must be finite between lateral walls"):
+        simulate(material, ts.Protocol.ramp(1e-3, 3))
+    with pytest.raises(ts.InputError, match="must be a material with a finite bulk modulus"):
+        CONFINED.stress(ts.find_law("neo_hooke"), np.array([0.9]), [1000.0])
+
+
+def test_walls_need_plates():
+    with pytest.raises(ts.InputError, match="has_lateral_wall: requires a plate"):
+        ts.Experiment(ts.Specimen(SIZE, SIZE), ts.Protocol.ramp(1e-3), ts.Tool("flat", radius=2e-3),
+                      has_lateral_wall=True)

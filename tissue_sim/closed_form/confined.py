@@ -1,0 +1,58 @@
+"""Confined compression in closed form: rigid walls without friction hold the cross-section."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+from tissue_sim.closed_form.homogeneous import ClosedForm
+from tissue_sim.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from tissue_sim.laws import Law
+    from tissue_sim.material.material import Material
+
+
+@dataclass(frozen=True)
+class ConfinedForm(ClosedForm):
+    """Closed form of uniaxial strain, J = stretch: the nominal stress is that of the law plus K (J - 1).
+
+    At small strain the slope is the aggregate modulus K + 4/3 mu0. The law and the bulk modulus are identified together
+    with another test; alone, the test determines the aggregate modulus. Only the isochoric stress relaxes and softens.
+    """
+
+    needs_bulk: ClassVar[bool] = True
+
+    def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+        """Raise an `InputError`, because the law alone does not determine the stress; see `stress_history`."""
+        raise InputError("must be a material with a finite bulk modulus: confined compression changes the volume. Use "
+                         "stress_history", field="material")
+
+    slope = stress
+    stress_parameter_derivatives = stress
+
+    def stress_history(self, material: Material, time: np.ndarray, abscissa: np.ndarray,
+                       contact_radius: float) -> np.ndarray:
+        """Return the nominal stress, Pa, shape (n,); arguments as in `ClosedForm.stress_history`.
+
+        Raises:
+            InputError: the material is incompressible, or has no closed form.
+        """
+        import numpy as np
+
+        if np.isinf(material.bulk_modulus):
+            raise InputError("must be finite in confined compression, which changes the volume. State bulk.K_Pa or "
+                             "another bulk response", field="bulk")
+        isochoric = super().stress_history(material, time, abscissa, contact_radius)
+        return isochoric + material.bulk_modulus * (np.asarray(abscissa, dtype=float) - 1.0)
+
+    def find_extreme_stretches(self, low: float, high: float) -> tuple[float, float]:
+        """Return the smallest and largest isochoric principal stretch, l^(2/3) and l^(-1/3); see the base class."""
+        every = [stretch**power for stretch in (low, high, 1.0) for power in (2.0 / 3.0, -1.0 / 3.0)]
+        return min(every), max(every)
+
+
+#: Confined compression.
+CONFINED = ConfinedForm("confined", "uniaxial")
