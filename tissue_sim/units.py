@@ -22,6 +22,7 @@ _FACTORS: dict[str, dict[str, float]] = {
               "g": 1e-3 * _G, "gf": 1e-3 * _G, "mg": 1e-6 * _G, "kg": _G, "kgf": _G, "lb": _LB * _G, "lbf": _LB * _G,
               "ozf": _LB * _G / 16},
     "torque": {"Nm": 1.0, "mNm": 1e-3, "uNm": 1e-6, "Nmm": 1e-3},
+    "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
     "stress": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "N/mm^2": 1e6, "N/mm2": 1e6, "N/cm2": 1e4, "N/m2": 1.0,
                "bar": 1e5, "psi": _LB * _G / _IN**2, "ksi": 1e3 * _LB * _G / _IN**2, "g/mm2": 1e3 * _G,
                "kgf/cm2": 1e4 * _G},
@@ -36,7 +37,8 @@ UNITS: dict[str, tuple[str, float, float]] = {
 }
 #: Other spelling -> name in `UNITS`.
 _SPELLINGS = {"µm": "um", "μm": "um", "µN": "uN", "μN": "uN", "°C": "degC", "sec": "s", "N.mm": "Nmm", "N·mm": "Nmm",
-              "N·m": "Nm", "N.m": "Nm", "µN.m": "uNm", "µNm": "uNm",
+              "°": "deg", "degree": "deg", "degrees": "deg", "Grad": "deg", "radian": "rad", "radians": "rad",
+              "turns": "rev", "N·m": "Nm", "N.m": "Nm", "µN.m": "uNm", "µNm": "uNm",
               "N/mm²": "N/mm^2", "N/cm²": "N/cm2", "N/m²": "N/m2", "kgf/cm²": "kgf/cm2",
               "S": "s", "Sec": "s", "SEC": "s", "secs": "s",
               "second": "s", "seconds": "s", "Seconds": "s", "msec": "ms",

@@ -46,7 +46,7 @@ from calibration.campaign.tables import (
 )
 from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.experiment.kinds.kind import KINDS, TestKind
+from tissue_sim.experiment.kinds.kind import DISPLACEMENT_FORCE, KINDS, TestKind
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.material.softening import SofteningForm
@@ -105,6 +105,21 @@ class Test:
     solver: str = "axisymmetric"
     leave_out: Mapping[str, tuple[int, ...]] = field(default_factory=_freeze_mapping)
     control: Literal["find", "displacement", "force"] = "find"
+
+    @property
+    def states_stress(self) -> bool:
+        """Whether the curves of the test are strain and nominal stress: no specimen, or a kind without a force."""
+        return self.specimen is None or DISPLACEMENT_FORCE not in self.kind.channels
+
+    @property
+    def reference_sizes(self) -> tuple[float, float]:
+        """Height, m, and cross-section, m2, that convert displacement to strain and force to stress.
+
+        Both are 1 for a test of strain and stress; see `calibration.campaign.measured.MeasuredCurve`.
+        """
+        if self.specimen is None or self.states_stress:
+            return 1.0, 1.0
+        return self.specimen.height, self.specimen.area
 
 
 @dataclass(frozen=True)

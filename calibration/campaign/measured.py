@@ -278,7 +278,7 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
         raise InputError(f"{path.name} has no time, and the rig of the test requires time (latency, damping or drift); "
                          "state a time column, or speed_mm_s", field="recordings")
     remembering = is_test_force_history_dependent(test, material) or (campaign.fit.whole and time is not None)
-    height = 1.0 if test.specimen is None else test.specimen.height
+    height, _ = test.reference_sizes
     screening = add_controlled_quantity_to_screening(screening, displacement, force, time, test)
     if remembering:
         reject_left_out_start_of_loading(displacement, force, screening, path)
@@ -388,7 +388,7 @@ def _make_even_grid_and_interpolation_matrix(displacement: np.ndarray, curve: Me
     from scipy.sparse import csr_array
 
     test = curve.test
-    height = 1.0 if test.specimen is None else test.specimen.height
+    height, _ = test.reference_sizes
     limit = np.inf if test.max_strain is None else test.max_strain * height
     distinct, samples = np.unique(displacement, return_index=True)
     start = max(distinct[0], -limit if test.kind.has_gripped_ends else 0.0)
@@ -412,8 +412,13 @@ def _get_displacement_force_and_stressed_flag(recording: Recording, test: Test,
     stated = next((pair for pair in direct if all(name in recording for name in pair)), None)
     if all(name in recording for name in mechanical) and (test.specimen is not None or stated is None):
         if test.specimen is None:
-            raise InputError(f"{path.name} contains displacement and force, which require a [[specimen]] to compute "
-                             "stress", field="specimen")
+            raise InputError(f"{path.name} contains {' and '.join(mechanical)}, which require a [[specimen]] to "
+                             "compute stress", field="specimen")
+        channels = [np.array(recording.channel(name)) for name in mechanical]
+        form = test.kind.closed_form
+        other = None if form is None else form.convert_motion_and_load(test.specimen, channels[0], channels[1])
+        if other is not None:
+            return *other, True
         return np.array(recording.displacement), np.array(recording.force), False
     if stated is None:
         required = ", or ".join(" and ".join(pair) for pair in test.kind.channels)
@@ -427,7 +432,7 @@ def _get_displacement_force_and_stressed_flag(recording: Recording, test: Test,
         raise InputError(f"{path.name} contains {' and '.join(stated)}, and {test.specimen.name!r} is "
                          f"{add_indefinite_article(test.specimen.shape)} without constant cross-section; use "
                          f"{' and '.join(mechanical)}", field="recordings")
-    height, area = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
+    height, area = test.reference_sizes
     return (height * test.kind.convert_abscissa_to_nominal_strain(recording.channel(motion)),
             test.kind.sign * area * recording.channel(load),
             True)
@@ -450,12 +455,12 @@ def _require_similar_speeds_and_depths(curves: list[MeasuredCurve], test: Test, 
 
 def _find_stated_force_noise_or_none(curve: MeasuredCurve, campaign: Campaign) -> float | None:
     """Return the stated noise as a force, N, from the value in the recorded unit if stated; None: to be estimated."""
-    force, stress, specimen = campaign.noise.force, campaign.noise.nominal_stress, curve.test.specimen
+    force, stress = campaign.noise.force, campaign.noise.nominal_stress
     if not curve.stressed:
         return force
     if stress is not None:
-        return stress * (1.0 if specimen is None else specimen.area)
-    return None if specimen is None else force
+        return stress * curve.test.reference_sizes[1]
+    return None if curve.test.states_stress else force
 
 
 def compute_input_and_version_digest(campaign: Campaign, recordings: Sequence[MeasuredCurve],

@@ -16,6 +16,7 @@ from calibration.campaign.campaign import Campaign, Test
 from tissue_sim.errors import InputError
 from tissue_sim.recording.cleaning import remove_outliers_and_saturation
 from tissue_sim.recording.control import detect_controlled_quantity_and_creep
+from tissue_sim.recording.curve_units import FORCE_UNITS, STRESS_UNITS
 from tissue_sim.recording.recording import (
     MIN_POINTS,
     Recording,
@@ -339,7 +340,8 @@ def segment_recording_from_contact(test: Test, displacement: np.ndarray, force: 
         InputError: the contact cannot be detected, the contact is stated in mm for a recording of stress, or a failure
             occurs and the test sets ``failure = 'refuse'``.
     """
-    found = find_segments_of_arrays(displacement, force, time, labels, stressed=stressed)
+    units = STRESS_UNITS if stressed else FORCE_UNITS
+    found = find_segments_of_arrays(displacement, force, time, labels, units=units)
     contact, used = found.contact, np.ones(displacement.size, bool)
     notes: dict[str, str] = {}
     recorded, shift = force, 0.0
@@ -352,11 +354,11 @@ def segment_recording_from_contact(test: Test, displacement: np.ndarray, force: 
     elif test.contact == "find":
         if contact is None or contact.status in ("unclear", "none"):
             reason = "the recording has few samples or loads in both directions" if contact is None else \
-                contact.in_words(stressed=stressed)
+                contact.in_words(units)
             raise InputError(f"{path.name}: {reason}; state the contact in mm, or set contact = 'recorded'",
                              field="contact")
         if contact.status == "before":
-            notes["contact"] = (f"{contact.in_words(stressed=stressed)}; the recorded displacement is used"
+            notes["contact"] = (f"{contact.in_words(units)}; the recorded displacement is used"
                                 + ("" if stressed else ", so state the contact in mm if the first displacement is not "
                                    "0"))
         if contact.has_air_before_contact:
@@ -368,7 +370,7 @@ def segment_recording_from_contact(test: Test, displacement: np.ndarray, force: 
         raise InputError(f"{path.name} ends before its contact at {1e3 * shift:g} mm", field="contact")
     failure = found.failure
     if failure is not None:
-        words = f"{failure.in_words(stressed=stressed)} (sample {failure.index + 1} of {force.size})"
+        words = f"{failure.in_words(units)} (sample {failure.index + 1} of {force.size})"
         if test.failure == "refuse":
             raise InputError(f"{path.name}: {words}; cut the file there, or set failure = 'cut'", field="failure")
         notes["failure"] = f"{words}; " + (

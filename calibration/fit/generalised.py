@@ -259,7 +259,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         held = [f"{space.symbols[name]} ended on its bound {found.values[name]:.6g}" for name in on_bound]
         warnings = [*estimate.warnings, *held, *found.lost,
                     *_list_residual_and_nuisance_warnings(problem, evaluation, spread)]
-        stressed = [curve for curve in problem.measured if curve.test.specimen is None]
+        stressed = [curve for curve in problem.measured if curve.test.states_stress]
         residual = evaluation.force - problem.data
         root = float(np.sqrt(np.mean(residual**2)))
         history = [entry for descent in found.descents for entry in descent.history] + list(estimate.history)

@@ -69,7 +69,7 @@ def compute_smooth_misfit_tests_of_regions(problem: GeneralisedProblem,
         answer = compute_rao_score_test(residual, design, columns)
         # Smooth part of model minus data.
         smooth = -np.concatenate(shapes) @ answer.amplitudes
-        factor = 1.0 if test.measured[0].test.specimen is None else 1e3
+        factor = 1.0 if test.measured[0].test.states_stress else 1e3
         displacement = factor * np.concatenate([curve.displacement[inside] for curve, (inside, _) in zip(
             test.measured, parts, strict=True)])
         worst = int(np.argmax(np.abs(smooth)))

@@ -151,7 +151,7 @@ class OrdinaryLeastSquaresEstimator(Estimator):
         if found.status != "not_physical":
             warnings += found.lost
         stress = (found.estimate.evaluation.force - problem.data) / problem.area
-        recorded = [curve.test.specimen is not None for curve in problem.measured]
+        recorded = [not curve.test.states_stress for curve in problem.measured]
         measured = problem.data / problem.area
         return {
             "R2": compute_r_squared(measured, stress),

@@ -104,7 +104,7 @@ class OrdinaryProblem(LeastSquaresProblem):
         index = np.repeat(np.arange(len(pairs)), [curve.force.size for curve, _ in pairs])
         noise = compute_sample_weighted_rms_noise(np.array([curve.noise.deviation / area for curve, area in pairs]),
                                                   index)
-        force_noise = max((curve.noise.deviation for curve, _ in pairs if curve.test.specimen is not None), default=0.0)
+        force_noise = max((curve.noise.deviation for curve, _ in pairs if not curve.test.states_stress), default=0.0)
         space = space.with_ranges_of_data(find_largest_strain_of_data_or_none(tests))
         return cls(space, tuple(tests), solves, settings, noise, force_noise)
 

@@ -127,7 +127,7 @@ def predict_test(problem: LeastSquaresProblem, test: ForwardTest, predictor: Pre
         largest = max(largest, float(np.abs(measured.force).max()))
         samples += measured.force.size
     rmse = float(np.sqrt(squares / samples))
-    stressed = test.measured[0].test.specimen is None
+    stressed = test.measured[0].test.states_stress
     if not np.isfinite(rmse):
         return make_prediction_with_failure_note(problem, test, fitted, "the law gives no finite force")
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None if stressed else rmse,

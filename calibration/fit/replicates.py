@@ -241,7 +241,7 @@ def _find_disagreement_of_kind(tests: Mapping[str, Sequence[MeasuredCurve]]) -> 
 def _get_strain_stress_or_displacement_force(curve: MeasuredCurve) -> tuple[np.ndarray, np.ndarray]:
     """Return nominal strain and stress of a homogeneous test, otherwise displacement, m, and force, N."""
     specimen = curve.test.specimen
-    if specimen is None or not _is_homogeneous(curve.test):
+    if specimen is None or curve.test.states_stress or not _is_homogeneous(curve.test):
         return curve.displacement, curve.force
     return curve.displacement / specimen.height, curve.force / specimen.area
 

@@ -30,7 +30,7 @@ from tissue_sim.recording.formats.guesses import FileInterpretation, TableGroup
 from tissue_sim.recording.formats.sizes import SizeOrSpeedInMillimetres, find_sizes_and_speed_in_mm
 from tissue_sim.recording.recording import MIN_POINTS
 from tissue_sim.recording.screening import ControlledQuantityFindings
-from tissue_sim.recording.segments import get_positive_motion_load_and_stress_flag
+from tissue_sim.recording.segments import get_positive_motion_load_and_units
 from tissue_sim.settings import make_shallow_read_only_copy
 from tissue_sim.specimen import SPECIMENS, specimen_sizes
 from tissue_sim.specimen.specimen import get_size_declarations_of_shape
@@ -126,7 +126,7 @@ def _iterate_offset_priors_of_unclear_contacts(
                     continue
                 kept = recording if motion.kept is None else recording.select(motion.kept)
                 kind = KINDS.get(test.kind) if test.kind else None
-                displacement, load, _ = get_positive_motion_load_and_stress_flag(kept, kind)
+                displacement, load, _ = get_positive_motion_load_and_units(kept, kind)
                 time = kept.time if "time" in kept else None
                 displacement, load = contact.subtract_contact_zero_and_drift(displacement, load, time)
                 pressed = displacement >= 0
@@ -233,7 +233,9 @@ def make_specimen_lines_and_missing(reading: TableGroup, wishes: ImportOptions, 
     if shape is not None:
         return _make_shape_lines_and_missing(str(shape), sizes, reason)
     lines, missing = [], []
-    flat = "area_mm2" in sizes or (kind is not None and kind.has_gripped_ends and "radius_mm" not in sizes)
+    is_round = kind is not None and kind.size_names.is_round
+    flat = not is_round and ("area_mm2" in sizes or (
+        kind is not None and kind.has_gripped_ends and "radius_mm" not in sizes))
     lines.append(CampaignLine("shape", "prism" if flat else "cylinder"))
     height = (SizeNames() if kind is None else kind.size_names).height[0]
     for key, what in (("area_mm2", "cross-section") if flat else ("radius_mm", "radius"), ("height_mm", height)):
@@ -349,10 +351,10 @@ def _make_air_and_failure_lines(parts: Sequence[ReplicateFile]) -> list[Campaign
     if air and not zeroed and all(motion.starts_in_air_or_none_if_unclear is not None for _, motion in motions):
         name, contact = air[0]
         lines.append(CampaignLine("contact", "find",
-                                  f"{name}: {contact.in_words(stressed=motions[0][1].found.stressed)}"))
+                                  f"{name}: {contact.in_words(motions[0][1].found.units)}"))
     failed = next(((name, motion) for name, motion in motions if motion.failure is not None), None)
     if failed is not None and failed[1].failure is not None:
-        said = failed[1].failure.in_words(stressed=failed[1].found.stressed)
+        said = failed[1].failure.in_words(failed[1].found.units)
         lines.append(CampaignLine("failure", "cut", f"{failed[0]}: {said}; fitted up to there"))
     return lines
 

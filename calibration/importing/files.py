@@ -54,6 +54,7 @@ from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.formats.guesses import FileInterpretation, KindGuess, TableGroup
 from tissue_sim.recording.formats.sizes import SizeOrSpeedInMillimetres, make_size_signature
 from tissue_sim.recording.formats.understanding import interpret_file
+from tissue_sim.recording.recording import SIZE_DEPENDENT
 from tissue_sim.settings import make_shallow_read_only_copy
 
 
@@ -417,7 +418,8 @@ def _build_tests_specimens_and_missing(
     for name, parts, zero, reason in groups:
         reading = parts[0].reading
         kind = KINDS[reading.kind.kind] if reading.kind.kind else None
-        needs = "displacement" in reading.recordings[0] or (kind is not None and kind.closed_form is None)
+        needs = any(name in reading.recordings[0] for name in SIZE_DEPENDENT) or (
+            kind is not None and kind.closed_form is None)
         specimen = None
         if needs:
             lines, lacks = make_specimen_lines_and_missing(reading, wishes, kind)

@@ -16,30 +16,31 @@ from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.cleaning import remove_outliers_and_saturation
 from tissue_sim.recording.contact import Contact
 from tissue_sim.recording.control import detect_controlled_quantity_and_creep
+from tissue_sim.recording.curve_units import CurveUnits
 from tissue_sim.recording.failure import Failure
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
-from tissue_sim.recording.recording import Recording
+from tissue_sim.recording.recording import MOTIONS, Recording
 from tissue_sim.recording.screening import EQUAL_LOAD, ControlledQuantityFindings, Screening, format_sample_numbers
-from tissue_sim.recording.segments import Segmentation, find_segments, get_positive_motion_load_and_stress_flag
+from tissue_sim.recording.segments import Segmentation, find_segments, get_positive_motion_load_and_units
 
 
 def list_signal_based_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None,
-                                  stressed: bool, controlled: str | None = None) -> tuple[Assumption, ...]:
+                                  units: CurveUnits, controlled: str | None = None) -> tuple[Assumption, ...]:
     """Return the assumptions about one recording that its signals show: omitted samples, contact, controlled quantity.
 
     Args:
         screening: findings on the recording, with the controlled quantity.
         contact: contact of the tool; None: not searched.
         has_air: whether motion in air precedes contact; None: unknown.
-        stressed: whether the recording has strain and stress.
+        units: units of motion and load in messages.
         controlled: controlled quantity as the user states; None: found in the signals.
     """
-    return tuple(_iterate_signal_based_assumptions(screening, contact, has_air=has_air, stressed=stressed,
+    return tuple(_iterate_signal_based_assumptions(screening, contact, has_air=has_air, units=units,
                                                    controlled=controlled))
 
 
 def _iterate_signal_based_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None,
-                                      stressed: bool,
+                                      units: CurveUnits,
                                       controlled: str | None) -> Iterator[Assumption]:
     """Yield the assumptions about one recording; see `list_signal_based_assumptions`."""
     control = screening.control
@@ -48,7 +49,7 @@ def _iterate_signal_based_assumptions(screening: Screening, contact: Contact | N
         yield Assumption("samples left out", format_sample_numbers(screening.left_out_sample_numbers), tuple(sentences))
     if contact is not None and contact.has_air_before_contact:
         yield Assumption("contact", "after air" if has_air else "at the first sample",
-                         (contact.in_words(stressed=stressed),))
+                         (contact.in_words(units),))
     if controlled is not None:
         yield Assumption("controlled quantity", controlled, (), flag=f"--control {controlled}", is_stated=True)
     elif control is not None and control.equal_samples:
@@ -69,8 +70,6 @@ def _iterate_signal_based_assumptions(screening: Screening, contact: Contact | N
                                              f", loss factor {control.loss_factor:.2f}"),))
 
 
-#: Channels of the motion -> value at rest; the first channel in a recording is used.
-MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0}
 #: Largest air before contact that is ignored, as a fraction of the largest displacement.
 _NEGLIGIBLE_AIR = 0.01
 
@@ -187,13 +186,13 @@ def analyse_recorded_motion(recording: Recording, kind: str | None, controlled: 
                             kept=None if kept.size == size else kept)
     assumptions = list_signal_based_assumptions(screening, motion.contact,
                                                 has_air=motion.starts_in_air_or_none_if_unclear,
-                                                stressed=motion.found.stressed, controlled=controlled)
+                                                units=motion.found.units, controlled=controlled)
     return replace(motion, warnings=tuple(_iterate_motion_warnings(recording, motion)), assumptions=assumptions)
 
 
 def _get_control_findings(recording: Recording, kind: str | None) -> ControlledQuantityFindings:
     """Return the findings about control: which quantity the machine controls, holds, creep and relaxation."""
-    motion, load, _ = get_positive_motion_load_and_stress_flag(recording, KINDS.get(kind) if kind else None)
+    motion, load, _ = get_positive_motion_load_and_units(recording, KINDS.get(kind) if kind else None)
     return detect_controlled_quantity_and_creep(motion, load, recording.time if "time" in recording
                                                 and np.ptp(recording.time) > 0 else None)
 
@@ -201,7 +200,7 @@ def _get_control_findings(recording: Recording, kind: str | None) -> ControlledQ
 def _iterate_motion_warnings(recording: Recording, motion: RecordedMotion) -> Iterator[str]:
     """Yield the warnings about one recording: screening, contact, segments."""
     contact = motion.contact
-    said = "" if contact is None else contact.in_words(stressed=motion.found.stressed)
+    said = "" if contact is None else contact.in_words(motion.found.units)
     yield from motion.screening.finding_sentences
     # Force curves of an AFM count from contact, and negligible air needs no warning.
     silent = "zeroing" in recording.metadata or motion.starts_in_air_or_none_if_unclear is False

@@ -11,7 +11,7 @@ from calibration.importing.campaign_text import format_shortened_table_lines
 from calibration.importing.imported import ImportedTest, ImportResult
 from calibration.report.drawing import COLOURS, STYLE, create_figure, make_thinning_slice
 from calibration.report.png import render_png
-from tissue_sim.recording.recording import Recording
+from tissue_sim.recording.recording import LOADS, Recording
 from tissue_sim.recording.screening import Screening
 
 
@@ -41,7 +41,8 @@ class ImportPictureLayoutSettings:
 #: Settings that the functions of this module use.
 _SETTINGS = ImportPictureLayoutSettings()
 _SHOWN = {"displacement": ("displacement, mm", 1e3), "stretch": ("stretch", 1.0), "shear strain": ("shear strain", 1.0),
-          "force": ("force, N", 1.0), "nominal stress": ("nominal stress, kPa", 1e-3)}
+          "force": ("force, N", 1.0), "nominal stress": ("nominal stress, kPa", 1e-3),
+          "angle": ("angle, deg", 180.0 / np.pi), "torque": ("torque, mN m", 1e3)}
 _SHADES = {"hold": "0.85", "unload": "#fde3d0", "reload": "#dcebf7", "approach": "#e8f4fb", "preload": "#f5e4ee",
            "preconditioning": "#fbefd5", "failure": "#f3c9ad"}
 
@@ -82,7 +83,7 @@ def _draw_test_motion_and_load_in_two_axes(left, right, test: ImportedTest) -> N
     for part in test.parts:
         raw = {column.channel for column in part.reading.columns if column.missing_information_text_or_none}
         for recording, motion in zip(part.reading.recordings, part.motions, strict=True):
-            load = "force" if "force" in recording else "nominal stress"
+            load = next(name for name in LOADS if name in recording)
             style = {"color": COLOURS[number % len(COLOURS)], "lw": 1.0}
             name = part.file.name if len(part.motions) == 1 else f"{part.file.name} {number + 1}"
             kept = np.arange(len(recording)) if motion.kept is None else motion.kept

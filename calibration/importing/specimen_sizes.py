@@ -22,7 +22,7 @@ from tissue_sim.recording.formats.sizes import (
     find_used_and_contradicting_sizes_in_mm,
 )
 from tissue_sim.recording.formats.statements import DIMENSIONS
-from tissue_sim.recording.recording import Recording
+from tissue_sim.recording.recording import SIZE_DEPENDENT, Recording
 
 #: Ratio of the logarithmic ranges of stiffness and size, below which the forces do not depend on the sizes.
 _LEAST_RANGE_RATIO = 1.0 / 3.0
@@ -116,7 +116,7 @@ def list_size_assumptions(reading: TableGroup, stated: Mapping[str, Any]) -> tup
         reading: reading of the tables of a file.
         stated: keys of ``[[specimen]]`` that the user states.
     """
-    if not any(column.channel in ("displacement", "force") for column in reading.columns):
+    if not any(column.channel in SIZE_DEPENDENT for column in reading.columns):
         return ()
     given = {key for key in reading.specimen if key != "shape"} | set(stated)
     section = bool(given & {"radius_mm", "area_mm2"}) or "shape" in given

@@ -23,7 +23,7 @@ from tissue_sim.laws import LAWS, find_law
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.screening import LoadAtZeroAndContactShift, estimate_load_at_zero_displacement
-from tissue_sim.recording.segments import get_positive_motion_load_and_stress_flag
+from tissue_sim.recording.segments import get_positive_motion_load_and_units
 from tissue_sim.settings import make_shallow_read_only_copy
 from tissue_sim.units import find_quantity_of_unit_or_none, get_si_factor_and_offset
 
@@ -131,7 +131,7 @@ def _get_first_loading_curve_or_none(recording: Recording, motion: RecordedMotio
     if motion.screening.control is not None and motion.screening.control.pattern == "oscillation":
         return None
     kept = recording if motion.kept is None else recording.select(motion.kept)
-    displacement, load, _ = get_positive_motion_load_and_stress_flag(kept, kind)
+    displacement, load, _ = get_positive_motion_load_and_units(kept, kind)
     end = int(np.argmax(displacement)) + 1
     if motion.failure is not None:
         end = min(end, motion.failure.index + 1)

@@ -298,7 +298,7 @@ def _write_misfit_force_labels(axes, spans, load: DisplayUnit) -> None:
 
 def _get_region_end_displacements(region: RegionMisfitTest, test: Test) -> tuple[float, float]:
     """Return the displacements (strains for a test without specimen) at both ends of a region, SI."""
-    size = 1.0 if test.specimen is None else 1e-3
+    size = 1.0 if test.states_stress else 1e-3
     return region.start * size, region.end * size
 
 

@@ -275,7 +275,7 @@ def _format_before_and_after_residual_table(before: FitEvidence, after: FitEvide
     rows = []
     forces = [before.evaluation.force, before.evaluation.force if after is None else after.evaluation.force]
     for curve, samples in zip(before.problem.measured, before.problem.rows, strict=True):
-        factor = 1.0 if curve.test.specimen is None else 1e3
+        factor = 1.0 if curve.test.states_stress else 1e3
         for i, force in enumerate(curve.force):
             models = [float(force_of[samples][i]) for force_of in forces]
             rows.append([curve.name, None if curve.segment is None else str(curve.segment[i]),
@@ -292,10 +292,10 @@ def _make_cells_of_abscissa_force_and_stress(test: TestCurves, displacement: flo
     Cells that the test does not define are None. A nominal stress is negative in compression, its errors are positive.
     """
     setup, empty = test.test, [None] * (len(forces) + len(errors))
-    mechanical = [None, *empty] if setup.specimen is None else [displacement * 1e3, *forces, *errors]
+    mechanical = [None, *empty] if setup.states_stress else [displacement * 1e3, *forces, *errors]
     if test.area is None:
         return [None, None, *mechanical, *empty]
-    sign, height = setup.kind.sign, 1.0 if setup.specimen is None else setup.specimen.height
+    sign, (height, _) = setup.kind.sign, setup.reference_sizes
     name = setup.kind.require_closed_form().label
     value = setup.kind.convert_nominal_strain_to_stretch_or_shear_strain(displacement / height)
     if setup.specimen is not None and setup.specimen.specific_weight:

@@ -251,11 +251,11 @@ class ReportUnits:
 
     def get_load_unit(self, test: Test) -> DisplayUnit:
         """Return the unit of force, or of stress for a test without specimen."""
-        return self.pressure if test.specimen is None else self.force
+        return self.pressure if test.states_stress else self.force
 
     def get_displacement_unit(self, test: Test) -> DisplayUnit:
         """Return the unit of displacement, or of strain for a test without specimen."""
-        return DisplayUnit("", 1.0) if test.specimen is None else self.length
+        return DisplayUnit("", 1.0) if test.states_stress else self.length
 
     def format_contact_and_zero_scatter(self, jitter: ReplicateJitterRecord,
                                         tests: Sequence[Test]) -> tuple[str, str]:
@@ -265,14 +265,14 @@ class ReportUnits:
         """
         test = self.choose_first_specimen_test_or_first(tests)
         contact = jitter.contact_mm * 1e-3
-        return self.get_displacement_unit(test).format_quantity(contact, 2) + (" of strain" if test.specimen is None
+        return self.get_displacement_unit(test).format_quantity(contact, 2) + (" of strain" if test.states_stress
                                                                                else ""), \
             self.get_load_unit(test).format_quantity(jitter.zero_N, 2)
 
     @staticmethod
     def choose_first_specimen_test_or_first(tests: Sequence[Test]) -> Test:
         """Return the test that decides the units of common quantities: the first with a specimen, else the first."""
-        return next((test for test in tests if test.specimen is not None), tests[0])
+        return next((test for test in tests if not test.states_stress), tests[0])
 
     def choose_display_unit_of_si_unit(self, unit: str) -> DisplayUnit:
         """Return the display unit of a parameter whose SI unit is `unit`."""

@@ -110,11 +110,11 @@ def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabel
     test, found = best.test, []
     x, load, area = units.get_displacement_unit(test), units.get_load_unit(test), _find_loaded_area_or_none(best)
     curve, x_label, history = _LoadDisplacementLines(x, load), x.format_axis_label("displacement"), _LoadTimeLines(load)
-    if test.specimen is not None:
+    if not test.states_stress:
         found.append(PanelLabelsAndLineFunction("Force and displacement", x_label, load.format_axis_label("force"),
                                                 curve.iterate_lines))
     if area is not None:
-        height = 1.0 if test.specimen is None else test.specimen.height
+        height, _ = test.reference_sizes
         curve = _LoadDisplacementLines(DisplayUnit("", height),
                                        DisplayUnit(units.pressure.name, units.pressure.size * area))
         x_label = test.kind.strain_name
@@ -127,7 +127,7 @@ def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabel
     found.append(PanelLabelsAndLineFunction(words.capitalize(), x_label, f"{words} [{rate}]", tangent.iterate_tangents,
                                             own=True, rates=True))
     if have_times_and_several_segments(best.measured):
-        name = load.format_axis_label("nominal stress" if test.specimen is None else "force")
+        name = load.format_axis_label("nominal stress" if test.states_stress else "force")
         found.append(PanelLabelsAndLineFunction("Load over time", "time [s]", name, history.iterate_lines))
         if any(label.startswith("hold") for label, _,
                _ in CurveTrace.from_recording(best.measured[0]).iterate_segment_names_and_bounds()):
@@ -144,7 +144,7 @@ def _find_loaded_area_or_none(curves: TestCurves) -> float | None:
         The area; None if the tool is smaller than the specimen or the specimen has no constant cross-section.
     """
     test = curves.test
-    if test.specimen is None:
+    if test.states_stress:
         return 1.0
     whole = test.kind.tool is None or test.kind.tool.shape == "plate"
     return test.specimen.area if whole and test.specimen.is_prism else curves.area

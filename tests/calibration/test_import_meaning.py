@@ -239,10 +239,26 @@ def test_words_and_headers_that_contradict_each_other_are_a_question(tmp_path):
     assert "--kind needle_indentation" in question and "'indentation' in the name of the file" in question
 
 
+def test_sheets_of_different_kinds_are_different_tests(tmp_path):
+    """Uniaxial and planar tension of a neo-Hookean rubber in one book."""
+    book = openpyxl.Workbook()
+    book.remove(book.active)
+    for title, stress in (("Uniaxial tension", STRESS), ("Planar tension", MU * (STRETCH - STRETCH**-3))):
+        sheet = book.create_sheet(title)
+        sheet.append(["Stretch", "Nominal stress (kPa)"])
+        for row in zip(STRETCH, 1e-3 * stress, strict=True):
+            sheet.append([float(value) for value in row])
+    path = tmp_path / "rubber.xlsx"
+    book.save(path)
+    imported = load(path)
+    assert [test.kind for test in imported.tests] == ["uniaxial_tension", "planar_tension"]
+    assert shear_modulus(imported, tmp_path) == pytest.approx(MU, rel=1e-4)
+
+
 def test_sheets_of_other_tests_are_left_out_with_a_note(tmp_path):
     book = openpyxl.Workbook()
     book.remove(book.active)
-    for title in ("Uniaxial tension", "Planar tension"):
+    for title in ("Uniaxial tension", "Volumetric compression"):
         sheet = book.create_sheet(title)
         sheet.append(["Stretch", "Nominal stress (kPa)"])
         for row in zip(STRETCH, 1e-3 * STRESS, strict=True):
@@ -251,7 +267,7 @@ def test_sheets_of_other_tests_are_left_out_with_a_note(tmp_path):
     book.save(path)
     imported = load(path)
     assert [test.kind for test in imported.tests] == ["uniaxial_tension"]
-    assert "a table is omitted: planar tension" in imported.warnings[0]
+    assert "a table is omitted: volumetric compression" in imported.warnings[0]
     assert shear_modulus(imported, tmp_path) == pytest.approx(MU, rel=1e-4)
 
 

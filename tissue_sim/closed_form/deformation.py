@@ -121,8 +121,9 @@ class ConfinedDeformation(_PrincipalDeformation):
 
     def compute_energy_and_stress(self, law: Law, values, abscissa: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return energy and S_11 = tau_1 / l^2; see the base class."""
-        sides = np.ones_like(abscissa[:, 0])
-        energy, tau = law.compute_energy_and_kirchhoff_stresses(np.stack([abscissa[:, 0], sides, sides], axis=-1), values)
+        stretches = np.ones((len(abscissa), 3))
+        stretches[:, 0] = abscissa[:, 0]
+        energy, tau = law.compute_energy_and_kirchhoff_stresses(stretches, values)
         return energy, tau[:, :1] / abscissa**2
 
     def compute_nominal_stress_weights(self, abscissa: np.ndarray) -> np.ndarray:

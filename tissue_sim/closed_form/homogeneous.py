@@ -11,6 +11,7 @@ if TYPE_CHECKING:
 
     from tissue_sim.laws import Law
     from tissue_sim.material.material import Material
+    from tissue_sim.specimen import Specimen
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,14 @@ class ClosedForm:
     def stress_parameter_derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return the derivatives of the nominal stress with respect to m parameters, shape (*abscissa.shape, m)."""
         return law.nominal_stress_parameter_derivatives(abscissa, values, self.law_mode)
+
+    def convert_motion_and_load(self, specimen: Specimen, motion: np.ndarray,
+                                load: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return strain and nominal stress of other channels than displacement and force, both positive under load.
+
+        None: the kind has no other channels; the strain is displacement over height, the stress force over area.
+        """
+        return None
 
     def stress_history(self, material: Material, time: np.ndarray, abscissa: np.ndarray,
                        contact_radius: float) -> np.ndarray:

@@ -15,12 +15,9 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.control import estimate_noise_deviation
 from tissue_sim.recording.measures import StrainOrStressMeasure, get_original_measures
 from tissue_sim.recording.outliers import find_outliers_of_motion_and_load, make_left_out_samples_of_outliers
-from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
+from tissue_sim.recording.recording import CHANNELS, LOADS, MIN_POINTS, MOTIONS, Recording
 from tissue_sim.recording.saturation import find_last_digit_step_or_zero, find_saturated_runs
 from tissue_sim.recording.screening import LeftOutSamples, Saturation, Screening
-
-#: Channels of the load.
-LOADS = ("force", "nominal stress")
 
 
 @dataclass(frozen=True)
@@ -160,8 +157,6 @@ def _estimate_rounding_deviation_of_load(recording: Recording, usable: np.ndarra
     return float(steps[steps > 0].min()) / np.sqrt(12.0) if is_coarse else 0.0
 
 
-#: Channels of the motion. The first one in a recording is examined, and so is the first channel of the load.
-MOTIONS = ("displacement", "stretch", "shear strain")
 #: Error of a product, in units of the floating-point spacing.
 _PRODUCT_ERROR = 4.0
 #: Quantity -> unit for sentences, and factor from SI to this unit.

@@ -22,6 +22,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.public_names import OldName, with_old_names
 from tissue_sim.recording.change_point import ChangePointFit, LikelihoodProfile, LoadingWindow
+from tissue_sim.recording.curve_units import FORCE_UNITS, CurveUnits
 from tissue_sim.recording.saturation import find_rounding_step_or_zero
 from tissue_sim.recording.segmentation import label_samples_ramp_hold_unload
 
@@ -195,26 +196,21 @@ class Contact:
         clock = np.arange(force.size, dtype=float) if time is None else time
         return displacement - self.displacement, force - self.force_zero - self.drift * (clock - clock[0])
 
-    def in_words(self, *, stressed: bool = False) -> str:
-        """Describe the result in one sentence.
-
-        Args:
-            stressed: whether the recording has strain and stress: strain and kPa instead of mm and N.
-        """
-        scale, unit, load, of = (1.0, "", 1e-3, "kPa") if stressed else (1e3, " mm", 1.0, "N")
-        low, high = (scale * end for end in self.interval)
+    def in_words(self, units: CurveUnits = FORCE_UNITS) -> str:
+        """Describe the result in one sentence, in these units of motion and load."""
+        unit, (low, high) = units.motion_unit, (units.motion_factor * end for end in self.interval)
         if self.status == "none":
             return "no contact: the force never leaves its zero by more than its noise"
         if self.status == "before":
             return ("no samples in the air: contact was at the first motion or before it, at "
                     f"{high:.4g}{unit} at the latest")
-        basis = (f"estimated from {self.air} samples before and {self.loading} after, noise {load * self.noise:.2g} "
-                 f"{of}, zero {load * self.force_zero:.4g} {of}")
+        basis = (f"estimated from {self.air} samples before and {self.loading} after, noise "
+                 f"{units.format_load(self.noise, 2)}, zero {units.format_load(self.force_zero)}")
         if self.status == "unclear":
             reach = f"up to {high:.4g}{unit}" if np.isneginf(low) else f"from {low:.4g} to {high:.4g}{unit}"
             return f"contact is unclear, it may be anywhere {reach}; {basis}"
         doubt = "" if self.adequate else "; the rise after it is not smooth (adhesion?), so the interval may be short"
-        return (f"contact at {scale * self.displacement:.4g}{unit} (95 %: {low:.4g} to {high:.4g}{unit}); "
+        return (f"contact at {units.format_motion(self.displacement)} (95 %: {low:.4g} to {high:.4g}{unit}); "
                 f"{basis}{doubt}")
 
 

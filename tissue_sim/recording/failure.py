@@ -8,6 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.recording.curve_units import FORCE_UNITS, CurveUnits
 from tissue_sim.recording.saturation import find_rounding_step_or_zero
 from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_motion_corners, label_samples_ramp_hold_unload
 
@@ -73,18 +74,14 @@ class Failure:
         """Result as a sentence for the user, in mm and N; see `in_words`."""
         return self.in_words()
 
-    def in_words(self, *, stressed: bool = False) -> str:
-        """Describe the failure in one sentence.
-
-        Args:
-            stressed: whether the recording has strain and stress: strain and kPa instead of mm and N.
-        """
+    def in_words(self, units: CurveUnits = FORCE_UNITS) -> str:
+        """Describe the failure in one sentence, in these units of motion and load."""
         words = {"rupture": "the specimen ruptures", "drop": "the force drops (a tear, a slip or a puncture)",
                  "softening": "the tangent is lost, the force falls while the motion continues"}[self.mode]
         after = ", and rises beyond it later" if self.recovered else ""
-        place = f"strain {self.displacement:.4g} and {1e-3 * self.force:.4g} kPa" if stressed else \
-            f"{1e3 * self.displacement:.4g} mm and {self.force:.4g} N"
-        return f"{words} at {place}: {100 * self.lost:.0f} % of the {'stress' if stressed else 'force'} is lost{after}"
+        motion = units.format_motion(self.displacement)
+        place = f"{motion if units.motion_unit else f'strain {motion}'} and {units.format_load(self.force)}"
+        return f"{words} at {place}: {100 * self.lost:.0f} % of the {units.load_name} is lost{after}"
 
 
 def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None, *,

@@ -20,12 +20,12 @@ from tissue_sim.errors import InputError, located_and_converted_errors
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.files import open_input_file, write_bytes, write_text
 from tissue_sim.recording.formats import FORMATS
-from tissue_sim.recording.recording import CHANNELS, LABELS, Recording, add_time_or_motion_from_speed
+from tissue_sim.recording.recording import CHANNELS, LABELS, LOADS, MOTIONS, Recording, add_time_or_motion_from_speed
 from tissue_sim.units import get_si_factor_and_offset
 
 #: Quantity -> unit in the CSV file.
 _FILE_UNITS = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "-",
-               "temperature": "degC"}
+               "angle": "deg", "temperature": "degC"}
 
 
 def read_recording(path: str | Path, *, format: str = "native", columns: Mapping[str, Any] | None = None,
@@ -220,8 +220,7 @@ def _require_channels_of_kind(recording: Recording, kind: str | None, path: Path
     if kind is not None:
         KINDS.find(kind, "kind").require_channels(recording.channels, f"this file has {has}", file=path)
         return
-    for words, names in (("a motion", ("displacement", "stretch", "shear strain")),
-                         ("a load", ("force", "nominal stress"))):
+    for words, names in (("a motion", tuple(MOTIONS)), ("a load", LOADS)):
         if not any(name in recording for name in names):
             raise InputError(f"the column with {words} is missing, expected {', '.join(names[:-1])} or {names[-1]}; "
                              f"this file has {has}", file=path)

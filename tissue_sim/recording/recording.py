@@ -23,9 +23,15 @@ from tissue_sim.settings import make_shallow_read_only_copy
 CHANNELS: dict[str, str] = {
     "time": "time", "displacement": "length", "force": "force",
     "stretch": "ratio", "nominal stress": "stress", "shear strain": "ratio",
-    "temperature": "temperature",
+    "angle": "angle", "torque": "torque", "temperature": "temperature",
     "Fx": "force", "Fy": "force", "Fz": "force", "Tx": "torque", "Ty": "torque", "Tz": "torque",
 }
+#: Channel of a motion -> its value at rest. The first one of a recording is used.
+MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0, "angle": 0.0}
+#: Channels of a load. The first one of a recording is used.
+LOADS = ("force", "nominal stress", "torque")
+#: Channels from which stress and strain follow by the sizes of the specimen only.
+SIZE_DEPENDENT = ("displacement", "force", "angle", "torque")
 #: Names of the labels of samples.
 LABELS = ("segment", "cycle")
 #: Fewest samples of a recording.

@@ -8,12 +8,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from tissue_sim.experiment.kinds.kind import KINDS, STRETCH_STRESS, TestKind
+from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.public_names import OldName
 from tissue_sim.recording.contact import Contact, find_contact
 from tissue_sim.recording.control import find_creep_intervals, find_final_oscillation_or_none
+from tissue_sim.recording.curve_units import FORCE_UNITS, STRESS_UNITS, UNITS_OF_LOAD, CurveUnits
 from tissue_sim.recording.failure import Failure, find_failure
-from tissue_sim.recording.recording import Recording
+from tissue_sim.recording.recording import MOTIONS, Recording
 from tissue_sim.recording.segmentation import label_reloads_and_cycles, label_samples_ramp_hold_unload
 
 #: Names of segments, in the order of a test.
@@ -54,7 +55,7 @@ class Segmentation:
         contact: contact of the tool; None for a recording on both sides of zero, or with few samples.
         failure: failure of the specimen; None: intact.
         stated: whether the labels are those of the file.
-        stressed: whether the recording has strain and stress.
+        units: units of motion and load in messages.
         warnings: sentences for the user.
     """
 
@@ -63,7 +64,7 @@ class Segmentation:
     contact: Contact | None
     failure: Failure | None
     stated: bool
-    stressed: bool
+    units: CurveUnits
     warnings: tuple[str, ...]
 
     @property
@@ -96,23 +97,23 @@ def find_segments(recording: Recording, kind: TestKind | str | None = None) -> S
         InputError: an unknown kind, a recording without motion and load.
     """
     kind = KINDS.find(kind, "kind") if isinstance(kind, str) else kind
-    motion, load, stressed = get_positive_motion_load_and_stress_flag(recording, kind)
+    motion, load, units = get_positive_motion_load_and_units(recording, kind)
     time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
     stated = "segment" in recording.labels
     return find_segments_of_arrays(motion, load, time, recording.labels["segment"] if stated else None,
-                                   stressed=stressed)
+                                   units=units)
 
 
 def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None,
-                            labels: np.ndarray | None = None, *, stressed: bool = False) -> Segmentation:
+                            labels: np.ndarray | None = None, *, units: CurveUnits = FORCE_UNITS) -> Segmentation:
     """Find the segments of arrays; see `find_segments`.
 
     Args:
-        displacement: displacement, m (strain if `stressed`), positive under load, shape (n,).
-        force: force, N (stress, Pa, if `stressed`), positive under load, shape (n,).
+        displacement: displacement, m (or strain, or angle, rad), positive under load, shape (n,).
+        force: force, N (or stress, Pa, or torque, N m), positive under load, shape (n,).
         time: time, s, shape (n,); None: even steps.
         labels: segments of the file, shape (n,); None: the segments are found.
-        stressed: whether the arrays are strain and stress.
+        units: units of motion and load in messages.
     """
     clock = np.arange(displacement.size, dtype=float) if time is None else time
     warnings: list[str] = []
@@ -123,7 +124,7 @@ def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: n
         end = max(displacement.size if failure is None else failure.index + 1, _SETTINGS.fewest_samples)
         contact = find_contact(displacement[:end], force[:end], None if time is None else time[:end])
     if contact is not None and contact.status != "before":
-        warnings.append(contact.in_words(stressed=stressed))
+        warnings.append(contact.in_words(units))
     stated = labels is not None
     if labels is not None:
         labels = np.char.lower(np.asarray(labels).astype(str))
@@ -137,7 +138,7 @@ def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: n
         labels, cycles = label_reloads_and_cycles(labels)
         labels = labels.astype("U15")
         if contact is not None and contact.status != "none":
-            _label_approach_and_preload_in_place(labels, displacement, force, contact, warnings, stressed)
+            _label_approach_and_preload_in_place(labels, displacement, force, contact, warnings, units)
         if cycles.max() > _SETTINGS.fewest_cycles and not _is_oscillation_around_offset(displacement, force, time):
             _label_preconditioning_in_place(labels, cycles, displacement, warnings)
         if contact is not None and contact.has_air_before_contact:
@@ -145,12 +146,12 @@ def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: n
             in_air = (cycles > 1) & (displacement < contact.displacement)
             labels[np.isin(labels, ("ramp", "reload")) & in_air] = "approach"
     if failure is not None:
-        warnings.append(failure.in_words(stressed=stressed))
+        warnings.append(failure.in_words(units))
         if not stated:
             labels[failure.index + 1:] = "failure"
     for values in (labels, cycles):
         values.flags.writeable = False
-    return Segmentation(labels, cycles, contact, failure, stated, stressed, tuple(warnings))
+    return Segmentation(labels, cycles, contact, failure, stated, units, tuple(warnings))
 
 
 def _is_oscillation_around_offset(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
@@ -168,22 +169,22 @@ def _is_in_time_order_and_one_sided(displacement: np.ndarray, force: np.ndarray,
     return not both_sides and not table
 
 
-def get_positive_motion_load_and_stress_flag(recording: Recording,
-                                             kind: TestKind | None) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return motion and load, positive under load, shapes (n,), and whether they are strain and stress."""
+def get_positive_motion_load_and_units(recording: Recording,
+                                       kind: TestKind | None) -> tuple[np.ndarray, np.ndarray, CurveUnits]:
+    """Return motion (strain instead of stretch) and load, positive under load, shapes (n,), and their units."""
     pairs = [*(kind.channels if kind is not None else ())] or [
         pair for one in KINDS.values() for pair in one.channels]
     pair = next((pair for pair in pairs if all(name in recording for name in pair)), pairs[0])
-    motion, load = (recording.channel(name) for name in pair)
-    if "displacement" in pair:
-        return motion, load, False
-    strain = motion - (1.0 if pair == STRETCH_STRESS else 0.0)
+    (motion, load), units = (recording.channel(name) for name in pair), UNITS_OF_LOAD[pair[1]]
+    if units is not STRESS_UNITS:
+        return motion, load, units
+    strain = motion - MOTIONS[pair[0]]
     sign = kind.sign if kind is not None else float(np.sign(strain[np.argmax(np.abs(strain))])) or 1.0
-    return sign * strain, sign * load, True
+    return sign * strain, sign * load, units
 
 
 def _label_approach_and_preload_in_place(labels: np.ndarray, displacement: np.ndarray, force: np.ndarray,
-                                         contact: Contact, warnings: list[str], stressed: bool) -> None:
+                                         contact: Contact, warnings: list[str], units: CurveUnits) -> None:
     """Label the approach and the preload, in place."""
     largest = float(force.max())
     first_motion = int(np.argmax(labels != "hold")) if np.any(labels != "hold") else labels.size
@@ -192,8 +193,7 @@ def _label_approach_and_preload_in_place(labels: np.ndarray, displacement: np.nd
         labels[:start] = "approach"
     elif first_motion and abs(float(np.median(force[:first_motion]))) > max(0.005 * largest, 5 * contact.noise):
         labels[:first_motion] = "preload"
-        load = f"{1e-3 * np.median(force[:first_motion]):.3g} kPa" if stressed else \
-            f"{np.median(force[:first_motion]):.3g} N"
+        load = units.format_load(float(np.median(force[:first_motion])), 3)
         warnings.append(f"the recording begins at rest under {load}, and no samples in the air show the zero of the "
                         "force: a settled preload, and contact was before it; state its displacement with contact, or "
                         "record some air")

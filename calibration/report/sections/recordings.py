@@ -32,6 +32,7 @@ from calibration.report.fit_text import format_law_title
 from calibration.report.quantities import ReportUnits, format_value_and_error
 from calibration.report.section import CalibrationReport, DiagnosisReport, Section
 from tissue_sim.recording.contact import Contact
+from tissue_sim.recording.curve_units import CurveUnits
 
 if TYPE_CHECKING:
     from tissue_sim.recording.segments import Segmentation
@@ -64,7 +65,7 @@ def _make_residual_test_table(report: CalibrationReport) -> Table:
         for r in fit.regions:
             test = report.tests[r.test]
             load, travel = units.get_load_unit(test), units.get_displacement_unit(test)
-            at = travel.format_quantity(r.at * (1.0 if test.specimen is None else 1e-3), 3)
+            at = travel.format_quantity(r.at * (1.0 if test.states_stress else 1e-3), 3)
             rows.append([None if last else format_law_title(fit.law), None if r.test == last else r.test,
                          describe_region(r, test, units), load.format_quantity(r.misfit_N, 2),
                          f"{load.format_quantity(r.largest_N, 2)} at {at}", f"{r.statistic:.3g} ({r.freedom})",
@@ -123,9 +124,9 @@ def draw_segment_figure(displacement: np.ndarray, force: np.ndarray, time: np.nd
     Returns:
         The matplotlib figure.
     """
-    stressed = segmentation.stressed
-    travel, load = (displacement, 1e-3 * force) if stressed else (1e3 * displacement, force)
-    words = ("strain", "stress [kPa]") if stressed else ("displacement [mm]", "force [N]")
+    units = segmentation.units
+    travel, load = units.motion_factor * displacement, units.load_factor * force
+    words = units.motion_label, units.load_label
     # A table without time is drawn over the displacement.
     table = time is None and bool(np.all(np.diff(travel) >= 0))
     clock = travel if table else np.arange(force.size) if time is None else time
@@ -147,7 +148,7 @@ def draw_segment_figure(displacement: np.ndarray, force: np.ndarray, time: np.nd
     line.set_zorder(3)
     if detail is not None and contact is not None:
         _draw_contact_detail(detail, travel, load, np.arange(force.size) if time is None else time, contact, words,
-                             stressed)
+                             units)
     return figure
 
 
@@ -178,9 +179,9 @@ def _mark_failure(axes, clock: np.ndarray, load: np.ndarray, segmentation: Segme
 
 
 def _draw_contact_detail(axes, travel: np.ndarray, load: np.ndarray, clock: np.ndarray, contact: Contact,
-                         words: tuple[str, str], stressed: bool) -> None:
+                         words: tuple[str, str], units: CurveUnits) -> None:
     """Draw load over displacement near first contact: zero and drift of the force, contact, and its 95 % interval."""
-    scale, factor = (1.0, 1e-3) if stressed else (1e3, 1.0)
+    scale, factor = units.motion_factor, units.load_factor
     position = scale * contact.displacement
     low, high = (scale * end for end in contact.interval)
     beyond = max(LAYOUT.fraction_after_contact * (travel.max() - position), 2 * (high - position))
@@ -247,7 +248,7 @@ def _describe_recording(curve: MeasuredCurve) -> Text:
     parts = [f"{'stated' if found.stated else 'found'}: {_format_segments_with_repeat_counts(runs)}",
              f"{int(whole.used.sum())} of {whole.used.size} samples fitted"]
     if found.contact is not None:
-        parts.append(found.contact.in_words(stressed=found.stressed))
+        parts.append(found.contact.in_words(found.units))
     if whole.shift:
         parts.append(f"displacement measured from {1e3 * whole.shift:.4g} mm")
     text: list[Part] = [Span(curve.name, "strong"), f": {'; '.join(parts)}"]

@@ -174,11 +174,11 @@ def _make_prediction_line(prediction: Prediction, test: Test, units: ReportUnits
     name = Span(prediction.test, "strong")
     if prediction.percent is None:
         return name, f", {how}: ", Span(f"no prediction: {prediction.note}", "bad")
-    load, error = units.get_load_unit(test), prediction.RMSE_Pa if test.specimen is None else prediction.RMSE_N
+    load, error = units.get_load_unit(test), prediction.RMSE_Pa if test.states_stress else prediction.RMSE_N
     size = "" if error is None else f"{load.format_quantity(error, 2)}, "
     expected = prediction.expected_N
     chance = "" if expected is None else f" (expected by chance: {load.format_quantity(expected, 2)})"
-    largest = "stress" if test.specimen is None else "force"
+    largest = "stress" if test.states_stress else "force"
     return name, f", {how}: {size}{format_percentage_value(prediction.percent)} of the largest {largest}{chance}"
 
 

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 
 #: Channels (motion, load) of a recording from a load frame.
 DISPLACEMENT_FORCE = ("displacement", "force")
+#: Channels of a torsion test.
+ANGLE_TORQUE = ("angle", "torque")
 #: Channels of a stress-stretch curve.
 STRETCH_STRESS = ("stretch", "nominal stress")
 #: Channels of a shear curve.
@@ -52,10 +54,12 @@ class SizeNames:
         height: names of the size along the load, the first in messages; a file that states several is read in this
             order.
         second: names of the size that with the width makes a rectangular cross-section.
+        is_round: whether the cross-section must be a circle although the specimen is gripped.
     """
 
     height: tuple[str, ...] = ("height", "thickness", "length", "gauge length", "gap")
     second: tuple[str, ...] = ("length", "depth", "thickness")
+    is_round: bool = False
 
 
 @with_old_names(can_pull="allows_reversed_load")
@@ -73,7 +77,7 @@ class TestKind:
         face, base, shaft: interfaces of the tool's face, of the base and of a needle's shaft.
         control: ``"displacement"``.
         sign: sign of strain and nominal stress for positive displacement and force: -1 in compression, 1 in tension.
-        channels: pairs (motion, load); a recording needs one of them. The first is that of a load frame.
+        channels: pairs (motion, load); a recording needs one of them. The first is that of the machine.
         closed_form: nominal stress of the homogeneous deformation; None if only finite elements give the force.
         size_names: names of the sizes of the specimen.
         title_words: regular expressions of words by which titles and headers of files name the test, in addition to
@@ -269,6 +273,7 @@ KINDS: Registry[TestKind] = Registry("kind of test", "tissue_sim.kinds", {
     "needle_indentation": "tissue_sim.experiment.kinds.standard_tests:NEEDLE",
     "uniaxial_tension": "tissue_sim.experiment.kinds.standard_tests:TENSION",
     "simple_shear": "tissue_sim.experiment.kinds.standard_tests:SHEAR",
+    "torsion": "tissue_sim.experiment.kinds.torsion:TORSION_TEST",
     "planar_tension": "tissue_sim.experiment.kinds.sheet_tension:PLANAR_TENSION",
     "equibiaxial_tension": "tissue_sim.experiment.kinds.sheet_tension:EQUIBIAXIAL_TENSION",
 }, accepts=lambda kind: isinstance(kind, TestKind), expected="a tissue_sim.TestKind")

@@ -18,7 +18,7 @@ from tissue_sim.recording.formats.guesses import ColumnGuess, KindGuess
 from tissue_sim.recording.formats.kind_words import KindHint, NamedTest, find_named_tests
 from tissue_sim.recording.formats.sources import FileContent, NumberTable
 from tissue_sim.recording.formats.vocabulary import MachineFormat
-from tissue_sim.recording.recording import Recording
+from tissue_sim.recording.recording import LOADS, MOTIONS, Recording
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def set_column_signs_and_zeros(columns: Sequence[ColumnGuess], recordings: Seque
                                       for each in recordings):
             column = replace(column, sign=-1, reason=f"{column.reason}; positive in compression, so turned")
         turned[column.channel] = column
-    for channel in ("force", "nominal stress"):
+    for channel in LOADS:
         if channel in turned and channel not in stated:
             turned[channel] = _set_sign_of_load_column(turned[channel], recordings, starts, turned)
     return tuple(turned.values())
@@ -93,9 +93,10 @@ def _compute_mean_displacement_if_oscillating(recording: Recording) -> float | N
     The result is 0 for an oscillation around zero, and None without an oscillation or for a start from rest.
     """
     displacement = recording.channel("displacement")
-    if not any(name in recording for name in ("force", "nominal stress")):
+    loads = [name for name in LOADS if name in recording]
+    if not loads:
         return None
-    load = recording.channel("force" if "force" in recording else "nominal stress")
+    load = recording.channel(loads[0])
     time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
     found = find_final_oscillation_or_none(displacement, load, time)
     if found is None or found.returns or abs(displacement[0] - found.mean) > 1.1 * found.amplitude:
@@ -106,9 +107,9 @@ def _compute_mean_displacement_if_oscillating(recording: Recording) -> float | N
 def _set_sign_of_load_column(column: ColumnGuess, recordings: Sequence[Recording], starts: Sequence[float | None],
                              columns: Mapping[str, ColumnGuess]) -> ColumnGuess:
     """Return the column of a load with the sign for which load and motion, measured from rest, are correlated."""
-    rest = {"stretch": 1.0, "shear strain": 0.0}
+    rest = {name: value for name, value in MOTIONS.items() if name != "displacement"}
     # Without a column of the motion, the displacement is that of a constant speed.
-    motion = next((name for name in ("displacement", "stretch", "shear strain") if name in columns), "displacement")
+    motion = next((name for name in MOTIONS if name in columns), "displacement")
     direction = columns[motion].sign if motion in columns else 1
 
     def is_against_motion(recording: Recording, start: float | None) -> bool:
@@ -333,8 +334,10 @@ def _find_unregistered_named_test_or_none(named: Sequence[NamedTest], hints: Seq
 
 def _guess_kind_by_shear_strain_or_stretch(recordings: Sequence[Recording],
                                            columns: Sequence[ColumnGuess]) -> KindGuess | None:
-    """Return the kind that a shear strain or the range of a stretch shows; None: no such column."""
+    """Return the kind that a shear strain, an angle or the range of a stretch shows; None: no such column."""
     roles = {column.role for column in columns}
+    if {"angle", "torque"} <= roles:
+        return KindGuess("torsion", "the table has an angle and a torque")
     if "shear strain" in roles:
         return KindGuess("simple_shear", "the table has a shear strain")
     if "stretch" not in roles:

@@ -64,10 +64,6 @@ UNKNOWN_TESTS: tuple[KnownTestWithoutKind, ...] = (
     KnownTestWithoutKind("triaxial_compression", "triaxial compression",
                          (r"tri ?axial\w*", r"dreiachs\w*", r"triax"),
                          "not uniaxial: a pressure acts on the sides of the specimen"),
-    KnownTestWithoutKind("torsion", "torsion",
-                         (r"torsion\w*", r"twist(ing)? tests?", r"verdreh\w*", r"verdrill\w*"),
-                         "not simple shear: the shear strain increases with the radius, and a torque is measured",
-                         alone=("twist",)),
     KnownTestWithoutKind("bending", "bending", (
         r"bending( tests?)?", r"bend tests?", r"flexur\w*", r"flexion", r"\w*bieg(e|ung|ever)\w*",
         r"cantilever (bending|beam|tests?)",

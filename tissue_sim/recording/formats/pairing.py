@@ -106,6 +106,7 @@ def has_temperature_in_all_rows(numbers: NumberTable, places: Mapping[str, int])
 #: Role of a column -> channel of a recording. A strain is read as the stretch (strain + 1).
 _CHANNEL_OF_ROLE = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
                     "strain": "stretch", "shear strain": "shear strain", "stress": "nominal stress",
+                    "angle": "angle", "torque": "torque",
                     "temperature": "temperature"}
 #: Largest relative difference of a stated speed from the speed in the file.
 _SPEED_TOLERANCE = 0.01
@@ -340,7 +341,8 @@ def _unify_role(role: str) -> str:
 def _has_motion_and_load(part: Sequence[ColumnPositionWithRole]) -> bool:
     """Return whether the columns include a motion and a load."""
     roles = {_unify_role(each.role) for each in part}
-    return bool(roles & {"displacement", "strain"}) and bool(roles & {"force", "stress"})
+    return (bool(roles & {"displacement", "strain"}) and bool(roles & {"force", "stress"})) or {
+        "angle", "torque"} <= roles
 
 
 def _select_best_column_position_per_role(part: Sequence[ColumnPositionWithRole]) -> dict[str, int]:
@@ -359,9 +361,10 @@ def _select_motion_and_load_roles_or_none(chosen: Mapping[str, int],
     Displacement and force, the measured quantities, are preferred unless `InterpretationOverrides.direct` is true.
     """
     sheared = hints.kind == "simple_shear" or "shear strain" in chosen
-    mechanical = [("displacement", "force")]
+    twisted = [("angle", "torque")]
+    mechanical = [*twisted, ("displacement", "force")] if hints.kind == "torsion" else [("displacement", "force")]
     direct = [("shear strain" if sheared else "stretch", "stress"), ("strain", "stress"), ("stretch", "stress")]
-    pairs = [*direct, *mechanical] if hints.direct else [*mechanical, *direct]
+    pairs = [*direct, *mechanical] if hints.direct else [*mechanical, *direct, *twisted]
     return next((pair for pair in pairs if set(pair) <= set(chosen)), None)
 
 

@@ -152,7 +152,7 @@ def find_used_and_contradicting_sizes_in_mm(statements: Mapping[str, str],
                                                                 [(1e3 * each.value, each.rounding, (each.key,))
                                                                  for each in known[height]], statements)
     # The cross-section of a gripped specimen may have any shape.
-    flat = test is not None and test.has_gripped_ends
+    flat = test is not None and test.has_gripped_ends and not names.is_round
     rectangles = _compute_rectangular_areas_mm2(known, test, height)
     radii: list[_Candidate] = [
              (1e3 * factor * each.value, each.rounding, (each.key,))

@@ -42,6 +42,7 @@ _THREE_DIGIT_GROUP = re.compile(r"\d{3}(\.\d*)?")
 _LEADING_DIGITS = re.compile(r"[+-]?[1-9]\d{0,2}")
 #: Quantity -> name of its SI unit in messages.
 _SI_UNIT_WORDS = {"time": "s", "length": "m", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "units",
+                  "angle": "rad",
                   "temperature": "K"}
 
 
@@ -294,7 +295,8 @@ def get_si_conversion(channel: str, unit: str | None, scale: float | None = None
     if unit is not None and find_quantity_of_unit_or_none(unit) == "signal":
         raise InputError(f"{unit} is the signal of a sensor; give scale, the {_SI_UNIT_WORDS[quantity]} in 1 {unit}")
     if unit is None:
-        example = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "kPa", "temperature": "degC"}
+        example = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "kPa", "angle": "deg",
+                   "temperature": "degC"}
         raise InputError(f"the unit is missing, expected a {quantity} such as [{example[quantity]}]")
     return get_si_factor_and_offset(unit, quantity)
 

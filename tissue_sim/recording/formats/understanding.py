@@ -79,6 +79,7 @@ from tissue_sim.recording.formats.vocabulary import (
     normalize_header_text,
 )
 from tissue_sim.recording.measures import MEASURES, find_measure_name_in_header_or_none
+from tissue_sim.recording.recording import LOADS, MOTIONS
 from tissue_sim.settings import make_shallow_read_only_copy
 
 
@@ -118,8 +119,9 @@ def explain_missing_columns(found: Sequence[NumberTable], machine: MachineFormat
                      numbers.get_header_without_unit(position), numbers.get_unit_in_header_or_unit_row(position),
                      machine) or [None])[0])}
     missing_roles = [words for words, roles in (("a motion (displacement, stretch, strain)",
-                                                 {"displacement", "stretch", "strain", "shear strain"}),
-                                                ("a load (force, stress)", {"force", "stress"})) if not known & roles]
+                                                 {"displacement", "stretch", "strain", "shear strain", "angle"}),
+                                                ("a load (force, stress)", {"force", "stress", "torque"}))
+                     if not known & roles]
     if not missing_roles and not known & {"stretch"}:
         seen = [text for size, text in find_size_texts_without_known_unit(statements(numbers)).items()
                 if size in ("height", "length", "gauge length", "thickness", "gap")]
@@ -195,7 +197,7 @@ def explain_refused_sweep(headers: Sequence[str]) -> str:
 #: Number of rows of a table that determine the decimal mark of the lines above and below the table.
 _MARKED_ROWS = 2000
 #: Channels whose headers may begin with the name of the specimen.
-_NAMING_CHANNELS = ("displacement", "stretch", "shear strain", "force", "nominal stress")
+_NAMING_CHANNELS = (*MOTIONS, *LOADS)
 
 
 def interpret_file(path: str | Path, hints: InterpretationOverrides | None = None) -> FileInterpretation:

@@ -21,9 +21,9 @@ from tissue_sim.units import find_quantity_of_unit_or_none
 #: Words of columns that are not fitted: derived or commanded quantities, amplitudes, other directions.
 _OTHER = re.compile(
     r"\b(amplitude|oscillation|amplitudes|std|stdev|stddev|deviation|sd|error|rate|speed|velocity|geschwindigkeit|energy|work|"
-    r"power|arbeit|modulus|modul|setpoint|command|target|demand|soll|torque|moment|index|points?|number|nr|no|frame|"
+    r"power|arbeit|modulus|modul|setpoint|command|target|demand|soll|index|points?|number|nr|no|frame|"
     r"cycles?|"
-    r"zyklus|width|breite|area|querschnitt|angle|storage|loss|viscosity|position [xy]|f[xy]|transverse|"
+    r"zyklus|width|breite|area|querschnitt|phase|storage|loss|viscosity|position [xy]|f[xy]|transverse|"
     r"quer|axial counts)\b")
 #: Role -> patterns in the order of preference; the column of a role with the earliest pattern is read.
 _WORDS: dict[str, tuple[str, ...]] = {
@@ -46,6 +46,9 @@ _WORDS: dict[str, tuple[str, ...]] = {
               r"tensile load|tensile force",
               r"force|load|kraft|prüfkraft|last|charge|carga|fuerza|forza|kracht|effort|f|p|fn",
               r"load cell|kraftsensor|weight|mass|masse"),
+    "angle": (r"angle of twist|twist angle|twist|verdrehwinkel|torsionswinkel|drehwinkel",
+              r"angle|rotation|rotation angle|angular displacement|angular position|winkel"),
+    "torque": (r"torque|torsional moment|drehmoment|torsionsmoment|couple", r"moment"),
     "temperature": (r"temperature|temp|temperatur|température",),
 }
 _PATTERNS = {role: tuple(re.compile(rf"\b({words})\b") for words in patterns) for role, patterns in _WORDS.items()}
@@ -55,10 +58,11 @@ _BY_UNIT = {
     ("force", "stress"): "stress", ("stress", "force"): "force"}
 #: Role -> quantity of its unit.
 _QUANTITY = {"time": "time", "displacement": "length", "force": "force", "stress": "stress", "strain": "ratio",
-             "stretch": "ratio", "shear strain": "ratio", "temperature": "temperature"}
-#: Quantity of the unit -> role of a column without a known word.
-_NAMELESS = {"time": "time", "length": "displacement", "force": "force", "stress": "stress",
+             "stretch": "ratio", "shear strain": "ratio", "angle": "angle", "torque": "torque",
              "temperature": "temperature"}
+#: Quantity of the unit -> role of a column without a known word.
+_NAMELESS = {"time": "time", "length": "displacement", "force": "force", "stress": "stress", "angle": "angle",
+             "torque": "torque", "temperature": "temperature"}
 #: Source of a column -> its words: measured on the specimen, or by the machine. The extension of the specimen is
 #: preferred, because it does not include the compliance of the machine and the grips.
 _SOURCES = {"specimen": re.compile(r"\b(extensomet\w*|extensomètre|video\w*|vidéo|dic|optical|optisch\w*|optique|laser|"
@@ -151,8 +155,8 @@ def find_role_and_rank_or_none(name: str, unit: str | None,
         machine: machine that wrote the file; None: unknown.
 
     Returns:
-        A role: ``time``, ``displacement``, ``force``, ``stretch``, ``strain``, ``shear strain``, ``stress`` or
-        ``temperature``. None: none of them.
+        A role: ``time``, ``displacement``, ``force``, ``stretch``, ``strain``, ``shear strain``, ``stress``, ``angle``,
+        ``torque`` or ``temperature``. None: none of them.
     """
     words, quantity = normalize_header_text(name), find_quantity_of_unit_or_none(unit)
     role = machine.roles.get(words) if machine else None

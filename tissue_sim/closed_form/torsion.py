@@ -1,0 +1,136 @@
+"""Torsion of a cylinder in closed form: torque and axial force at a held or prescribed axial stretch.
+
+A cylinder of radius a is twisted by psi per undeformed length at the axial stretch l; its radius becomes a l^(-1/2).
+The deformation is a simple shear that grows with the radius. Sections do not warp and keep their radius, so that held
+ends change nothing at l = 1.
+
+Source: R. S. Rivlin, Phil. Trans. R. Soc. A 242 (1949) 173; Ogden, Non-linear Elastic Deformations, 1984, section 5.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+from tissue_sim.closed_form.homogeneous import ClosedForm
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from tissue_sim.laws import Law
+    from tissue_sim.material.material import Material
+    from tissue_sim.specimen import Specimen
+
+#: Number of Gauss points along the radius; the stress of the laws is smooth in it.
+RADIAL_POINTS = 12
+
+
+@lru_cache
+def _make_radial_rule() -> tuple[np.ndarray, np.ndarray]:
+    """Return Gauss points and weights on the radius from 0 to 1, shapes (points,)."""
+    import numpy as np
+
+    points, weights = np.polynomial.legendre.leggauss(RADIAL_POINTS)
+    return 0.5 * (1.0 + points), 0.5 * weights
+
+
+@dataclass(frozen=True)
+class TorsionForm(ClosedForm):
+    """Closed form of torsion at constant length.
+
+    The abscissa is the shear strain at the rim, gamma = psi a. The nominal stress is 2 M / (pi a^3), the mean of the
+    shear stress tau over the section with the weight of its lever arm: 4 int_0^1 tau(gamma x) x^2 dx. At small strain
+    it is mu0 gamma, as in simple shear.
+    """
+
+    def _average(self, evaluate: Callable[[np.ndarray], np.ndarray], abscissa: np.ndarray, power: int) -> np.ndarray:
+        """Return 4 int_0^1 evaluate(abscissa x) x^power dx; `evaluate` may append axes to its argument's shape."""
+        import numpy as np
+
+        points, weights = _make_radial_rule()
+        values = [evaluate(x * np.asarray(abscissa, dtype=float)) for x in points]
+        return np.tensordot(4.0 * weights * points**power, np.array(values), axes=1)
+
+    def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+        """Return 2 M / (pi a^3), Pa, shape of `abscissa`."""
+        return self._average(lambda shear: law.nominal_stress(shear, values, self.law_mode), abscissa, 2)
+
+    def slope(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+        """Return the derivative of `stress` with respect to the abscissa, Pa, shape of `abscissa`."""
+        return self._average(lambda shear: law.nominal_stress_slope(shear, values, self.law_mode), abscissa, 3)
+
+    def stress_parameter_derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+        """Return the derivatives of `stress` with respect to m parameters, shape (*abscissa.shape, m)."""
+        return self._average(lambda shear: law.nominal_stress_parameter_derivatives(shear, values, self.law_mode),
+                             abscissa, 2)
+
+    def stress_history(self, material: Material, time: np.ndarray, abscissa: np.ndarray,
+                       contact_radius: float) -> np.ndarray:
+        """Return 2 M / (pi a^3) of a motion with relaxation and softening, Pa; see `ClosedForm.stress_history`."""
+        history = super().stress_history
+        return self._average(lambda shear: history(material, time, shear, contact_radius), abscissa, 2)
+
+    def convert_motion_and_load(self, specimen: Specimen, motion: np.ndarray,
+                                load: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return shear strain at the rim and 2 M / (pi a^3), Pa, of an angle, rad, and a torque, N m.
+
+        Raises:
+            InputError: the specimen is not a cylinder.
+        """
+        import numpy as np
+
+        from tissue_sim.errors import InputError
+        from tissue_sim.specimen.cylinder import Cylinder
+
+        if not isinstance(specimen, Cylinder):
+            raise InputError("must be a cylinder in torsion, whose shear strain depends on the radius; got "
+                             f"{specimen.in_words}. State radius_mm.", field="specimen")
+        return motion * specimen.radius / specimen.height, 2.0 * load / (np.pi * specimen.radius**3)
+
+
+#: Torsion of a cylinder at constant length.
+TORSION = TorsionForm("simple_shear", "planar", rest=0.0, label="shear strain at the rim [-]")
+
+
+def compute_torque_and_axial_force(law: Law, values: Any, twist: Any, radius: float,
+                                   stretch: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Return the torque, N m, and the axial force, N (tension positive), of a twisted cylinder; shapes of `twist`.
+
+    M = 2 pi int sigma_tz r^2 dr, and with the radial stress from equilibrium
+    N = pi int (2 (sigma_zz - sigma_rr) - (sigma_tt - sigma_rr)) r dr, over the deformed section.
+
+    Args:
+        law: strain energy of an incompressible material.
+        values: parameters, SI.
+        twist: angle per undeformed length psi, rad/m, any shape.
+        radius: undeformed radius a, m.
+        stretch: axial stretch, which the ends hold.
+
+    Examples:
+        >>> from tissue_sim.laws import find_law
+        >>> torque, force = compute_torque_and_axial_force(find_law("mooney_rivlin"), {"C10": 1000.0, "C01": 500.0},
+        ...                                                50.0, 0.01)
+        >>> round(1e3 * float(torque), 4), round(float(force), 5)  # mN m, N
+        (2.3562, -0.07854)
+    """
+    import numpy as np
+
+    points, weights = _make_radial_rule()
+    outer, twist = radius * stretch**-0.5, np.asarray(twist, dtype=float)
+    r = outer * points
+    shear = twist[..., None] * r  # u_t / dZ at the deformed radius
+    # F = [[l^-1/2, shear], [0, l]] in (theta, z); b = F F^T; the radial direction has the stretch l^-1/2.
+    b_tt, b_tz, b_zz = 1.0 / stretch + shear**2, stretch * shear, np.full_like(shear, stretch**2)
+    mean, half = 0.5 * (b_tt + b_zz), np.hypot(0.5 * (b_tt - b_zz), b_tz)
+    stretches = np.stack([np.sqrt(mean + half), np.sqrt(stretch) / np.sqrt(mean + half),
+                          np.full_like(shear, stretch**-0.5)], axis=-1)
+    _, tau = law.compute_energy_and_kirchhoff_stresses(stretches, values)
+    centre, amplitude = 0.5 * (tau[..., 0] + tau[..., 1]), 0.5 * (tau[..., 0] - tau[..., 1])
+    scale = np.divide(1.0, half, out=np.zeros_like(half), where=half > 0)
+    tz, difference = amplitude * scale * b_tz, amplitude * scale * 0.5 * (b_tt - b_zz)
+    tt, zz, rr = centre + difference, centre - difference, tau[..., 2]
+    torque = 2.0 * np.pi * outer * np.sum(weights * tz * r**2, axis=-1)
+    force = np.pi * outer * np.sum(weights * (2.0 * (zz - rr) - (tt - rr)) * r, axis=-1)
+    return torque, force
