@@ -234,7 +234,7 @@ def suggest_further_tests(problem: GeneralisedProblem, theta: np.ndarray,
         float(np.median(mechanical)), (problem.jitter.contact, problem.jitter.zero))
     about = problem.space.free_parameters[free[np.argmax(np.abs(axis))]]
     acting = [test for test in problem.tests if about.applies_to_recording(test.name, None)] or list(problem.tests)
-    of = next((test for test in acting if not test.states_stress), acting[0])
+    of = next((test for test in acting if not test.measured[0].test.states_stress), acting[0])
     for words, experiment in _build_candidate_tests(problem, theta, of):
         gained = _compute_scaled_test_information_or_none(problem, theta, experiment, of.name, spread, noise, jitter)
         if gained is None:

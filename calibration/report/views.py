@@ -144,7 +144,7 @@ def _find_loaded_area_or_none(curves: TestCurves) -> float | None:
         The area; None if the tool is smaller than the specimen or the specimen has no constant cross-section.
     """
     test = curves.test
-    if test.states_stress:
+    if test.specimen is None or test.states_stress:
         return 1.0
     whole = test.kind.tool is None or test.kind.tool.shape == "plate"
     return test.specimen.area if whole and test.specimen.is_prism else curves.area

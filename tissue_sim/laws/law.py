@@ -405,7 +405,8 @@ def _derive_mode_stress_and_derivatives(law: Law, mode: str):
         # Principal stretches of simple shear gamma: l and 1/l with l - 1/l = gamma.
         s = sp.Symbol("gamma", real=True)
         l1 = s / 2 + sp.sqrt(1 + s**2 / 4)
-        prescribed, stretches, directions = (s,), (l1, 1 / l1, sp.Integer(1)), (1,)
+        prescribed, stretches = (s,), (l1, 1 / l1, sp.Integer(1))
+        directions: tuple[int, ...] = (1,)
     else:
         path = STRETCH_MODES[mode]
         names = ["lambda"] if path.stretch_count == 1 else [f"lambda{i + 1}" for i in range(path.stretch_count)]

@@ -250,7 +250,8 @@ def _iterate_tests_in_line(line: str, hint: KindHint) -> Iterator[NamedTest]:
     entry = None if matches else _TEST_ENTRIES.match(text)
     if entry is not None:
         kinds = _list_words_of_kinds()
-        sole = [(word, each.name, None) for each in kinds for word in each.sole]
+        sole: list[tuple[str, str | None, KnownTestWithoutKind | None]] = [
+            (word, each.name, None) for each in kinds for word in each.sole]
         sole += [(word, None, unknown) for unknown in _list_unregistered_tests(kinds) for word in unknown.alone]
         yield from (NamedTest(found[0], hint.where, kind, unknown) for word, kind, unknown in sole
                     if (found := re.search(rf"\b{word}\b", entry["value"])))

@@ -1,0 +1,112 @@
+"""Calibration of planar and equibiaxial tension, confined compression and torsion from recordings."""
+
+import numpy as np
+import pytest
+
+import calibration
+import tissue_sim as ts
+from tissue_sim.closed_form.torsion import compute_torque_and_axial_force
+
+TRUTH = {"C10": 5000.0, "C01": 2000.0}
+LAW = ts.find_law("mooney_rivlin")
+#: Radius, m.
+RADIUS = 0.010
+#: Height, m.
+HEIGHT = 0.012
+
+
+def write_campaign(folder, tests, fit, specimen='shape = "cylinder"\nradius_mm = 10.0\nheight_mm = 12.0'):
+    lines = [f"[[specimen]]\n{specimen}", *(
+        f'[[test]]\nname = "{kind}"\nkind = "{kind}"\nrecordings = ["{kind}_*.csv"]' for kind in tests),
+        f"[fit]\n{fit}"]
+    (folder / "study.toml").write_text("\n\n".join(lines) + "\n", encoding="utf-8")
+    return folder / "study.toml"
+
+
+def write_recording(folder, kind, **channels):
+    size = next(iter(channels.values())).size
+    ts.write_recording(ts.Recording({"time": np.arange(float(size)), **channels}), folder / f"{kind}_1.csv")
+
+
+def test_sheets_and_torsion_determine_both_parameters(tmp_path):
+    noise = np.random.default_rng(3)
+    stretch = np.linspace(1.0, 1.6, 61)
+    for kind, mode in (("planar_tension", "planar"), ("equibiaxial_tension", "equibiaxial")):
+        stress = LAW.nominal_stress(stretch, TRUTH, mode) + noise.normal(0.0, 5.0, stretch.size)
+        write_recording(tmp_path, kind, displacement=(stretch - 1.0) * HEIGHT, force=stress * np.pi * RADIUS**2)
+    angle = np.linspace(0.0, 1.0, 61)
+    torque, _ = compute_torque_and_axial_force(LAW, TRUTH, angle / HEIGHT, RADIUS)
+    write_recording(tmp_path, "torsion", angle=angle, torque=torque + noise.normal(0.0, 1e-5, angle.size))
+    path = write_campaign(tmp_path, ("planar_tension", "equibiaxial_tension", "torsion"), 'laws = ["mooney_rivlin"]')
+    result, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    assert result.best.parameters == pytest.approx(TRUTH, rel=2e-3)
+    for name, value in TRUTH.items():
+        assert abs(result.best.parameters[name] - value) < 4 * result.best.standard_errors[name]
+
+
+def test_torsion_alone_determines_the_sum(tmp_path):
+    angle = np.linspace(0.0, 1.0, 61)
+    torque, _ = compute_torque_and_axial_force(LAW, TRUTH, angle / HEIGHT, RADIUS)
+    write_recording(tmp_path, "torsion", angle=angle, torque=torque)
+    path = write_campaign(tmp_path, ("torsion",), 'laws = ["neo_hooke"]\n\n[noise]\nnominal_stress_Pa = 1.0')
+    result, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    assert result.best.parameters["C10"] == pytest.approx(sum(TRUTH.values()), rel=1e-6)
+
+
+def test_torsion_needs_a_cylinder(tmp_path):
+    angle = np.linspace(0.0, 1.0, 61)
+    write_recording(tmp_path, "torsion", angle=angle, torque=1e-3 * angle)
+    path = write_campaign(tmp_path, ("torsion",), 'laws = ["neo_hooke"]',
+                          'shape = "block"\nlength_mm = 10.0\nwidth_mm = 10.0\nheight_mm = 12.0')
+    with pytest.raises(ts.InputError, match="must be a cylinder in torsion"):
+        calibration.calibrate([path], tmp_path / "out", figures=False)
+
+
+def make_confined_force(material, stretch):
+    from tissue_sim.closed_form.confined import CONFINED
+
+    return -np.pi * RADIUS**2 * CONFINED.stress_history(material, np.arange(float(stretch.size)), stretch, RADIUS)
+
+
+def test_confined_compression_alone_with_a_stated_ratio(tmp_path):
+    material = ts.Material("neo_hooke", {"C10": 5000.0}, ts.Bulk("bulk_ratio", 8.0))
+    stretch = np.linspace(1.0, 0.8, 41)
+    write_recording(tmp_path, "confined_compression", displacement=(1.0 - stretch) * HEIGHT,
+                    force=make_confined_force(material, stretch))
+    path = write_campaign(tmp_path, ("confined_compression",), 'laws = ["neo_hooke"]')
+    with pytest.raises(ts.InputError, match=r"fit\.bulk_ratio: must be given for confined_compression"):
+        calibration.calibrate([path], tmp_path / "out", figures=False)
+    path = write_campaign(tmp_path, ("confined_compression",), 'laws = ["neo_hooke"]\nbulk_ratio = 8.0\n\n[noise]\n'
+                          "force_N = 0.001")
+    result, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    assert result.best.parameters["C10"] == pytest.approx(5000.0, rel=1e-6)
+    assert calibration.fit.result.compute_aggregate_modulus_or_none(result.campaign, result.best) == pytest.approx(
+        8e4 + 4e4 / 3, rel=1e-6)
+
+
+def test_a_fitted_bulk_modulus_needs_finite_elements_for_free_sides(tmp_path):
+    for kind in ("confined_compression", "lubricated_compression"):
+        write_recording(tmp_path, kind, displacement=np.linspace(0.0, 1e-3, 21), force=np.linspace(0.0, 1.0, 21))
+    path = write_campaign(tmp_path, ("confined_compression", "lubricated_compression"),
+                          'laws = ["neo_hooke"]\nstart = { C10 = 4000.0, "bulk.K_Pa" = 5e4 }')
+    with pytest.raises(ts.InputError, match=r"fit\.method: must be 'inverse_fem' to fit bulk\.K_Pa"):
+        calibration.calibrate([path], tmp_path / "out", figures=False)
+
+
+@pytest.mark.slow
+def test_bulk_modulus_is_identified_with_a_test_with_free_sides(tmp_path):
+    truth = ts.Material("neo_hooke", {"C10": 5000.0}, ts.Bulk("K_Pa", 80e3))
+    noise = np.random.default_rng(5)
+    for kind in ("confined_compression", "lubricated_compression"):
+        experiment = ts.KINDS[kind].experiment(specimen=ts.Specimen(RADIUS, HEIGHT),
+                                               protocol=ts.Protocol.ramp(0.1 * HEIGHT, 41))
+        found = ts.simulate(ts.Model(experiment, truth))
+        force = found.force + noise.normal(0.0, 2e-3, len(found))
+        ts.write_recording(found.with_channels(force=force), tmp_path / f"{kind}_1.csv")
+    path = write_campaign(tmp_path, ("confined_compression", "lubricated_compression"),
+                          'method = "inverse_fem"\nlaws = ["neo_hooke"]\n'
+                          'start = { C10 = 4000.0, "bulk.K_Pa" = 5e4 }\n\n[noise]\nforce_N = 0.002')
+    result, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    assert result.best.parameters["C10"] == pytest.approx(5000.0, rel=5e-3)
+    assert result.best.parameters["bulk.K_Pa"] == pytest.approx(80e3, rel=5e-3)
+    assert abs(result.best.parameters["bulk.K_Pa"] - 80e3) < 4 * result.best.standard_errors["bulk.K_Pa"]
