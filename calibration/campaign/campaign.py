@@ -112,14 +112,18 @@ class Test:
         return self.specimen is None or DISPLACEMENT_FORCE not in self.kind.channels
 
     @property
-    def reference_sizes(self) -> tuple[float, float]:
-        """Height, m, and cross-section, m2, that convert displacement to strain and force to stress.
+    def reference_height(self) -> float:
+        """Height that converts displacement to strain, m; 1 for a test of strain and stress (`MeasuredCurve`)."""
+        return 1.0 if self.specimen is None or self.states_stress else self.specimen.height
 
-        Both are 1 for a test of strain and stress; see `calibration.campaign.measured.MeasuredCurve`.
+    @property
+    def reference_area(self) -> float:
+        """Cross-section that converts force to stress, m2; 1 for a test of strain and stress.
+
+        Raises:
+            InputError: the specimen has no constant cross-section.
         """
-        if self.specimen is None or self.states_stress:
-            return 1.0, 1.0
-        return self.specimen.height, self.specimen.area
+        return 1.0 if self.specimen is None or self.states_stress else self.specimen.area
 
 
 @dataclass(frozen=True)

@@ -278,7 +278,7 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
         raise InputError(f"{path.name} has no time, and the rig of the test requires time (latency, damping or drift); "
                          "state a time column, or speed_mm_s", field="recordings")
     remembering = is_test_force_history_dependent(test, material) or (campaign.fit.whole and time is not None)
-    height, _ = test.reference_sizes
+    height = test.reference_height
     screening = add_controlled_quantity_to_screening(screening, displacement, force, time, test)
     if remembering:
         reject_left_out_start_of_loading(displacement, force, screening, path)
@@ -388,7 +388,7 @@ def _make_even_grid_and_interpolation_matrix(displacement: np.ndarray, curve: Me
     from scipy.sparse import csr_array
 
     test = curve.test
-    height, _ = test.reference_sizes
+    height = test.reference_height
     limit = np.inf if test.max_strain is None else test.max_strain * height
     distinct, samples = np.unique(displacement, return_index=True)
     start = max(distinct[0], -limit if test.kind.has_gripped_ends else 0.0)
@@ -432,7 +432,7 @@ def _get_displacement_force_and_stressed_flag(recording: Recording, test: Test,
         raise InputError(f"{path.name} contains {' and '.join(stated)}, and {test.specimen.name!r} is "
                          f"{add_indefinite_article(test.specimen.shape)} without constant cross-section; use "
                          f"{' and '.join(mechanical)}", field="recordings")
-    height, area = test.reference_sizes
+    height, area = test.reference_height, test.reference_area
     return (height * test.kind.convert_abscissa_to_nominal_strain(recording.channel(motion)),
             test.kind.sign * area * recording.channel(load),
             True)
@@ -459,7 +459,7 @@ def _find_stated_force_noise_or_none(curve: MeasuredCurve, campaign: Campaign) -
     if not curve.stressed:
         return force
     if stress is not None:
-        return stress * curve.test.reference_sizes[1]
+        return stress * curve.test.reference_area
     return None if curve.test.states_stress else force
 
 

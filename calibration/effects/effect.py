@@ -124,7 +124,7 @@ class DiagnosisData:
         for test in self.tests:
             force, depth = self.largest_force(test), self.largest_displacement(test)
             if test.experiment is None or self.measured[test.name][0].stressed:
-                height, area = test.reference_sizes
+                height, area = test.reference_height, test.reference_area
                 found.append(force * height / (3.0 * area * depth))
             elif test.experiment.tool.is_plate:
                 specimen = test.experiment.specimen

@@ -112,7 +112,7 @@ def build_weightless_closed_form_test(test: Test, curves: Sequence[MeasuredCurve
     Recordings of stretch and stress belong to a cube of 1 m, for which force equals stress and displacement equals
     strain.
     """
-    return ClosedFormTest(test.name, test.kind, *test.reference_sizes, tuple(curves))
+    return ClosedFormTest(test.name, test.kind, test.reference_height, test.reference_area, tuple(curves))
 
 
 def build_closed_form_or_column_test(test: Test, curves: Sequence[MeasuredCurve],

@@ -295,7 +295,7 @@ def _make_cells_of_abscissa_force_and_stress(test: TestCurves, displacement: flo
     mechanical = [None, *empty] if setup.states_stress else [displacement * 1e3, *forces, *errors]
     if test.area is None:
         return [None, None, *mechanical, *empty]
-    sign, (height, _) = setup.kind.sign, setup.reference_sizes
+    sign, height = setup.kind.sign, setup.reference_height
     name = setup.kind.require_closed_form().label
     value = setup.kind.convert_nominal_strain_to_stretch_or_shear_strain(displacement / height)
     if setup.specimen is not None and setup.specimen.specific_weight:

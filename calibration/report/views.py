@@ -114,7 +114,7 @@ def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabel
         found.append(PanelLabelsAndLineFunction("Force and displacement", x_label, load.format_axis_label("force"),
                                                 curve.iterate_lines))
     if area is not None:
-        height, _ = test.reference_sizes
+        height = test.reference_height
         curve = _LoadDisplacementLines(DisplayUnit("", height),
                                        DisplayUnit(units.pressure.name, units.pressure.size * area))
         x_label = test.kind.strain_name

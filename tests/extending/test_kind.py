@@ -87,10 +87,10 @@ def test_it_takes_its_words_over_from_the_tests_without_a_kind(kind, tmp_path):
 
 
 def test_a_kind_has_words_of_its_own(registers):
-    registers(ts.KINDS, ts.TestKind(name="torque_test", title="Torque test", tool=None, sign=1.0,
-                                    title_words=(r"torsion\w*",), closed_form=ts.KINDS["simple_shear"].closed_form))
-    for text in ("Torsion", "torque test", "Torsionsversuch"):
-        assert [each.kind for each in find_named_tests([KindHint(text, "here")])] == ["torque_test"]
+    registers(ts.KINDS, ts.TestKind(name="wobble_test", title="Wobble test", tool=None, sign=1.0,
+                                    title_words=(r"wobbl\w*",), closed_form=ts.KINDS["simple_shear"].closed_form))
+    for text in ("Wobbling", "wobble test", "Wobbles"):
+        assert [each.kind for each in find_named_tests([KindHint(text, "here")])] == ["wobble_test"]
 
 
 def test_its_recordings_need_its_channels(kind, tmp_path):
