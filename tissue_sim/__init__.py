@@ -16,7 +16,6 @@ _MOVED = {
     "tissue_sim.experiment.kinds.compression": "tissue_sim.experiment.kinds.standard_tests",
     "tissue_sim.experiment.kinds.gripped": "tissue_sim.experiment.kinds.standard_tests",
     "tissue_sim.experiment.kinds.indentation": "tissue_sim.experiment.kinds.standard_tests",
-    "tissue_sim.experiment.protocol_text": "tissue_sim.experiment.protocol",
     "tissue_sim.experiment.tools.cone": "tissue_sim.experiment.tools.shapes",
     "tissue_sim.experiment.tools.flat": "tissue_sim.experiment.tools.shapes",
     "tissue_sim.experiment.tools.outline": "tissue_sim.experiment.tools.tool",

@@ -100,11 +100,12 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
 
     Raises:
         ConvergenceError: see `simulate`; for differences also if a simulation with a changed parameter fails.
-        InputError: an unknown parameter, or see `simulate`.
+        InputError: an unknown parameter, a protocol that prescribes a force, or see `simulate`.
 
     Source: implicit differentiation at the converged step, as in Michaleris, Tortorelli and Vidal, Int. J. Numer.
     Methods Eng. 37 (1994) 2471.
     """
+    model.experiment.protocol.require_displacement_control("derivatives of the force", "experiment.protocol")
     of_material = parameters(model.material)
     names = tuple(of_material) if names is None else tuple(names)
     asked = get_parameters_at_paths(model, names)

@@ -9,21 +9,22 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
 
-from tissue_sim.errors import ConvergenceError
+from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
-from tissue_sim.fem.stepping import STEPS_TO_POSE, iterate_adaptive_steps_to_pose
+from tissue_sim.fem.stepping import STEPS_TO_POSE
 from tissue_sim.laws import find_stability_range
-from tissue_sim.material.effect import CombinedForceFactor
 from tissue_sim.model import Model
-from tissue_sim.pose import Pose, Screw, scale_screw
+from tissue_sim.pose import Screw
 from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.loading_curve import FirstLoadingCurveWithHistory
+from tissue_sim.tool_drive import ToolDrive
 
 
 @dataclass(frozen=True)
@@ -207,27 +208,26 @@ class SimulationSettings:
         rough_tolerance: relative residual of the second solution for the error estimate, 1.
         most_to_compare: largest ratio of the linear solves of the second solution to those of the first, 1.
         always_to_compare: number of linear solves that the second solution may use in any case.
-        position_tolerance: of the tool of a compliant rig, over its displacement, 1.
-        near_tolerance: distance, over the displacement, from which on later trials continue from the last one, 1.
-        many_trials: number of trials after which this is done.
-        most_trials: largest number of trials.
+        contact_radius_ratio: largest ratio of the contact radius that a force-controlled test reaches to that of its
+            mesh, or the inverse, before the mesh is made again.
+        most_meshes: largest number of such meshes.
+        smallest_depth_ratio: smallest ratio of the depth of a mesh to that of the mesh before.
+        bisections: number of bisections in the estimate of the first depth.
     """
 
     rough_tolerance: float = 1e-3
     most_to_compare: int = 4
     always_to_compare: int = 400
-    position_tolerance: float = 1e-7
-    near_tolerance: float = 1e-3
-    many_trials: int = 8
-    most_trials: int = 20
+    contact_radius_ratio: float = 1.5
+    most_meshes: int = 4
+    smallest_depth_ratio: float = 0.1
+    bisections: int = 50
 
 
 _SETTINGS = SimulationSettings()
 #: Remedy in the warning of a large error; `_REMEDIES` for single resolutions.
 _REMEDY = 'more samples show it'
 _REMEDIES = {"fast": 'the resolution "accurate" or more samples show it'}
-#: Step of a tool in the air.
-_NOTHING = Step.from_axial_force(StepStatus.CONVERGED, 0, 0.0, 0.0)
 #: Channels of a wrench with other components than a force along z.
 _WRENCH = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
@@ -247,13 +247,17 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
              solver: str = "axisymmetric", topology: Model | None = None, estimate_error: bool = True) -> Recording:
     """Simulate a whole test quasi-statically.
 
-    The protocol is the motion that the rig's stage reports; with a compliant load train the displacement of the tool is
-    found together with its force. For faces that slip in part the bonded and the frictionless test are simulated, each
-    with its own load train; fields are those of the bonded one. The law's stress is linear between samples.
+    A protocol of displacements is the motion that the rig's stage reports; with a compliant load train the displacement
+    of the tool is found together with its force. A prescribed force is the force that the load cell reads; the
+    displacement of each sample is found by a secant method with the tolerance
+    `tissue_sim.tool_drive.ToolSearchSettings.force_tolerance`. For faces that slip in part the bonded and the
+    frictionless test are simulated, each with its own load train; fields are those of the bonded one. The law's stress
+    is linear between samples.
 
-    The error of the force is estimated from a second solution on another mesh with every second sample, if the solver
-    has such a mesh; more than `ForceErrorWarningSettings.warning_fraction` of the largest force gives a warning. The
-    estimate doubles the time with ``"fast"`` and adds about a fifth with ``"accurate"``.
+    The error of the force, at the displacements of the recording, is estimated from a second solution on another mesh
+    with every second sample, if the solver has such a mesh; more than `ForceErrorWarningSettings.warning_fraction` of
+    the largest force gives a warning. The estimate doubles the time with ``"fast"`` and adds about a fifth with
+    ``"accurate"``.
 
     Args:
         model: experiment, material, rig.
@@ -273,18 +277,24 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         stage measures it. If the wrench has other components than a force along z, the channels Fx to Tz contain it in
         the frame of the scene. ``metadata["solver"]`` contains status, message, warnings, force_error (over the largest
         force; None if unknown), newton_iterations (linear solves), cuts, residual (the largest), dissipated_J (by
-        artificial damping), wall_s, element, mesh and resolution; with contact penetration_mm (the largest violation of
+        artificial damping), wall_s, element, mesh and resolution; with a prescribed force largest_tool_displacement_mm;
+        with contact penetration_mm (the largest violation of
         a contact condition) and penetration_tolerance_mm; with friction slipping_points (the largest number); with
         self-weight self_weight {density_kg_m3, gravity_m_s2, height_is, sag_mm, moulded_height_mm}.
 
     Raises:
-        ConvergenceError: the smallest step did not converge; `recording` contains the converged part.
-        InputError: an unknown solver or resolution, or a bulk response or layers that the solver does not support.
+        ConvergenceError: the smallest step did not converge, or no displacement gives a prescribed force; `recording`
+            contains the converged part.
+        InputError: an unknown solver or resolution, a bulk response or layers that the solver does not support, or a
+            prescribed force with partial slip, a tilted face, or an effect of the rig without a model in force control.
         MissingBackendError: Taichi is not installed.
     """
     started = time.perf_counter()
     protocol, rig = model.experiment.protocol, model.rig
     rig.count_readings(protocol.time)  # raises its errors before the simulation
+    if protocol.uses_force_control:
+        _require_support_of_force_control(model)
+        model = _expect_reached_depth(model, resolution=resolution, mesh=mesh, solver=solver, topology=topology)
     if share := model.experiment.slip:
         held, free = (
             simulate(replace(model, experiment=experiment, rig=rig.with_motion_effects_only), resolution=resolution,
@@ -309,73 +319,97 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         done, wrench = len(wrenches), np.array(wrenches).reshape(-1, 6)
         solved = {"status": status, "message": message, **report}
         solved.setdefault("wall_s", time.perf_counter() - started)
-        channels = {"time": protocol.time[:done], "displacement": protocol.displacement[:done],
+        channels = {"time": drive.protocol.time[:done], "displacement": np.array(drive.reported),
                     "force": np.array([model.experiment.compute_force_against_motion(one) for one in wrenches])}
         if wrench[:, [0, 1, 3, 4, 5]].any():
             channels |= zip(_WRENCH, wrench.T, strict=True)
-        true = Recording(channels, labels={name: values[:done] for name, values in protocol.labels.items()},
+        true = Recording(channels, labels={name: values[:done] for name, values in drive.protocol.labels.items()},
                          metadata={"name": "simulation", "solver": solved},
                          fields=tissue.fields(samples) if fields else None)
         return rig.read(compute_tilted_recording(true, model.experiment.tilt, np.array(travels)))
 
     if progress:
-        progress(0, protocol.displacement.size)
-    drive, largest = _ToolDrive(tissue, model), 0.0
-    path = drive.iterate_positions_durations_and_steps(np.arange(protocol.time.size))
-    for sample, (position, dt, steps) in enumerate(path):
+        progress(0, protocol.time.size)
+    drive, largest = ToolDrive(tissue, model), 0.0
+    for sample, (goal, dt, steps) in enumerate(drive.iterate_goals_durations_and_steps()):
         for step in steps:
             report["newton_iterations"] += step.iterations
             report["cuts"] += step.status is not StepStatus.CONVERGED
             report["dissipated_J"] += step.dissipated
         if step.status is not StepStatus.CONVERGED:
-            depth = tissue.pose.depth
-            message = (f"stopped at {depth * 1e3:.4g} mm on the way to {position * 1e3:.4g} mm (sample "
-                       f"{sample + 1}), the step cut to {STEPS_TO_POSE.smallest_cut:.1g} of its length: "
-                       f"{step.status.message}")
-            stability = find_stability_range(model.material.energy_law, model.material.values)
-            if step.status is StepStatus.INDEFINITE or not stability.is_stable_in_whole_range:
-                message += f"; the law alone is {stability}"
+            message = _describe_failure(drive, model, step, tissue.pose.depth, f"{goal} (sample {sample + 1})")
             solved = make_recording("not_converged", message) if wrenches else None
-            raise ConvergenceError(message, recording=solved, depth=depth)
+            raise ConvergenceError(message, recording=solved, depth=tissue.pose.depth)
         _store_larger_values_in_report(report, step)
         wrenches.append(drive.register_sample_and_scale_wrench(step.wrench, dt))
         if (size := math.hypot(*wrenches[-1][:3])) >= largest:
             largest, report["warnings"] = size, list(tissue.warnings())
         travels.append(drive.travel)
+        if protocol.uses_force_control:
+            report["largest_tool_displacement_mm"] = 1e3 * max(travels)
         if watch:
             watch.after_sample(tissue, drive.combined_force_factor)
         if fields:
             samples.append(tissue.field_sample())
         if progress:
-            progress(sample + 1, protocol.displacement.size)
+            progress(sample + 1, drive.protocol.time.size)
     report["wall_s"] = time.perf_counter() - started  # without the error estimate
     if estimate_error and mesh is None:
         forces = np.array([model.experiment.compute_force_against_motion(one) for one in wrenches])
-        most = max(_SETTINGS.always_to_compare, _SETTINGS.most_to_compare * report["newton_iterations"])
-        found = _estimate_force_error(tissue, model, forces, solver, resolution, topology, most)
-        if found is not None:
-            if found.compared == forces.size - 1:
-                report["force_error"] = found.fraction
-            warning = found.warning_or_none(protocol.displacement, _REMEDIES.get(resolution, _REMEDY))
-            if warning is not None:
-                report["warnings"] = [warning, *report["warnings"]]
+        _store_force_error_in_report(report, tissue, drive, model, forces, solver, resolution, topology)
     cuts = f", step cuts: {report['cuts']}" if report["cuts"] else ""
     return make_recording("converged", f"converged at every sample{cuts}")
 
 
-def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solver: str, resolution: str,
-                          topology: Model | None, most_solves: int) -> RelativeForceErrorEstimate | None:
-    """Estimate the error of a force from a second solution on another mesh with other steps.
+def _describe_failure(drive: ToolDrive, model: Model, step: Step, depth: float, goal: str) -> str:
+    """Return the message of a test whose last step did not converge.
 
-    If the error is worth a warning, or if the second solution ends early, a third solution in quarter steps on the
-    other mesh is used. The solver of the first solution is `tissue`, its force at each sample is `force`, N, shape
-    (n,). The second and the third solution have at most `most_solves` linear solves each. The other arguments are those
-    of `simulate`.
+    Args:
+        drive: motion of the tool.
+        model: model of the test.
+        step: last step.
+        depth: depth that was reached, m.
+        goal: description of the sample that was not reached.
+    """
+    cause = drive.failure or f"the step cut to {STEPS_TO_POSE.smallest_cut:.1g} of its length: {step.status.message}"
+    message = f"stopped at {depth * 1e3:.4g} mm on the way to {goal}, {cause}"
+    stability = find_stability_range(model.material.energy_law, model.material.values)
+    if step.status is StepStatus.INDEFINITE or not stability.is_stable_in_whole_range:
+        message += f"; the law alone is {stability}"
+    return message
+
+
+def _store_force_error_in_report(report: dict, tissue: Solver, drive: ToolDrive, model: Model, force: np.ndarray,
+                                 solver: str, resolution: str, topology: Model | None) -> None:
+    """Store the estimated error of the force, and the warning of a large error, in `report`, in place.
+
+    The arguments are those of `_estimate_force_error`.
+    """
+    most = max(_SETTINGS.always_to_compare, _SETTINGS.most_to_compare * report["newton_iterations"])
+    found = _estimate_force_error(tissue, drive, model, force, solver, resolution, topology, most)
+    if found is None:
+        return
+    if found.compared == force.size - 1:
+        report["force_error"] = found.fraction
+    warning = found.warning_or_none(np.array(drive.reported), _REMEDIES.get(resolution, _REMEDY))
+    if warning is not None:
+        report["warnings"] = [warning, *report["warnings"]]
+
+
+def _estimate_force_error(tissue: Solver, driven: ToolDrive, model: Model, force: np.ndarray, solver: str,
+                          resolution: str, topology: Model | None,
+                          most_solves: int) -> RelativeForceErrorEstimate | None:
+    """Estimate the error of a force from a second solution along the same displacements on another mesh.
+
+    The steps of the second solution are twice as long. If the error is worth a warning, or if the second solution ends
+    early, a third solution in quarter steps on the other mesh is used. The solver of the first solution is `tissue`,
+    its motion is `driven`, its force at each sample is `force`, N, shape (n,). The second and the third solution have
+    at most `most_solves` linear solves each. The other arguments are those of `simulate`.
 
     Returns:
         None if the solver has no other mesh, or if no other solution reaches a sample.
     """
-    estimate, protocol = tissue.error_estimation_rule(resolution), model.experiment.protocol
+    estimate, protocol = tissue.error_estimation_rule(resolution), driven.make_followed_protocol()
     if estimate is None:
         return None
 
@@ -385,11 +419,11 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
         resampled = replace(model.experiment, protocol=protocol.resample_at_fractional_samples(samples))
         along = replace(model, experiment=resampled)
         try:
-            drive = _ToolDrive(SOLVERS.find(solver, "solver")(along, resolution=estimate.resolution, topology=topology),
-                               along, tolerance=_SETTINGS.rough_tolerance)
+            drive = ToolDrive(SOLVERS.find(solver, "solver")(along, resolution=estimate.resolution, topology=topology),
+                              along, tolerance=_SETTINGS.rough_tolerance)
         except ConvergenceError:
             return np.zeros(0)
-        for _, dt, steps in drive.iterate_positions_durations_and_steps(np.arange(samples.size)):
+        for _, dt, steps in drive.iterate_goals_durations_and_steps():
             for step in steps:
                 solves += step.iterations
             if step.status is not StepStatus.CONVERGED or solves > most_solves:
@@ -398,7 +432,7 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
             other.append(model.experiment.compute_force_against_motion(wrench))
         return np.array(other)
 
-    samples = select_fractional_samples_for_longer_steps(protocol.displacement)
+    samples = select_fractional_samples_for_longer_steps(driven.compute_prescribed_motion())
     other = simulate_forces(samples)
     common = np.flatnonzero(samples[:other.size] % 1.0 == 0.0)
     found = estimate_error_from_two_forces_or_none(force, samples[common].astype(int), other[common], estimate.fraction)
@@ -413,122 +447,64 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
     return min(known, key=lambda each: (-each.compared, each.fraction), default=None)
 
 
+def _require_support_of_force_control(model: Model) -> None:
+    """Refuse effects that have no model in a test with a prescribed force.
+
+    Raises:
+        InputError: partial slip, a tilted face, or an effect of the rig.
+    """
+    for name in ("slip", "tilt"):
+        if value := getattr(model.experiment, name):
+            raise InputError(f"must be 0 with a prescribed force; got {value:g}. Leave it out, or prescribe the "
+                             "displacement", field=f"experiment.{name}")
+    model.rig.require_support_of_force_control()
+
+
+def _expect_reached_depth(model: Model, **options: Any) -> Model:
+    """Return the model of a force-controlled test whose mesh suits the depth that the tool reaches.
+
+    The contact radius of a rounded tool grows with its depth. The depth is first estimated by Hertz's formula, and then
+    taken from a simulation whose contact radius is near that of its mesh. A stated `Protocol.expected_depth` is kept.
+
+    Args:
+        model: model with a force-controlled protocol.
+        options: arguments of `simulate`.
+
+    Raises:
+        ConvergenceError: as of `simulate`.
+    """
+    experiment, depth = model.experiment, _estimate_depth_under_largest_force(model)
+    contact = partial(experiment.tool.contact_radius, specimen_radius=experiment.specimen.margin())
+    if experiment.protocol.expected_depth is not None or contact(depth) == contact(0.5 * depth):
+        return model
+    for _ in range(_SETTINGS.most_meshes):
+        expected = replace(experiment, protocol=replace(experiment.protocol, expected_depth=depth))
+        model = replace(model, experiment=expected)
+        reached = simulate(model, estimate_error=False, **options).metadata["solver"]["largest_tool_displacement_mm"]
+        ratio = contact(depth) / contact(depth := max(1e-3 * reached, _SETTINGS.smallest_depth_ratio * depth))
+        if max(ratio, 1.0 / ratio) <= _SETTINGS.contact_radius_ratio:
+            break
+    return replace(model, experiment=replace(experiment, protocol=replace(experiment.protocol, expected_depth=depth)))
+
+
+def _estimate_depth_under_largest_force(model: Model) -> float:
+    """Estimate the displacement of the tool under the largest known force of a protocol, m.
+
+    F = 16/3 mu a(d) d is Hertz's formula for an incompressible half-space with the contact radius a(d).
+    """
+    experiment, forces = model.experiment, model.experiment.protocol.force
+    force = float(np.max(np.abs(forces[~np.isnan(forces)]), initial=0.0))
+    low, high = 0.0, 0.5 * experiment.thickness
+    for _ in range(_SETTINGS.bisections):
+        depth = 0.5 * (low + high)
+        radius = experiment.tool.contact_radius(depth, experiment.specimen.margin())
+        low, high = (depth, high) if 16.0 / 3.0 * model.material.mu0 * radius * depth < force else (low, depth)
+    return max(high, experiment.protocol.depth)
+
+
 def _store_larger_values_in_report(report: dict, step: Step) -> None:
     """Replace the maxima over all samples in `report`, in place, by larger values of one step."""
     for name, value in (("residual", step.residual), ("penetration_mm", step.violation * 1e3),
                         ("slipping_points", step.slipping)):
         if name in report:
             report[name] = max(report[name], value)
-
-
-def _compute_time_steps_and_first_contact(positions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return the duration of the motion from the previous sample to each sample, s, and the index of first contact.
-
-    For that sample only the time after the touch counts.
-    """
-    waits, touching = np.diff(time, prepend=time[0]), np.flatnonzero(positions >= 0.0)
-    first = int(touching[0]) if touching.size else positions.size
-    if 0 < first < positions.size:
-        waits[first] *= positions[first] / (positions[first] - positions[first - 1])
-    return waits, first
-
-
-class _LoadTrainDepthPredictor:
-    """Predict the tool's depth behind a compliant load train from the last two samples; see `_ToolDrive`."""
-
-    def __init__(self, compliance: float):
-        self.compliance = compliance
-        self._known: list[tuple[float, float]] = []
-
-    def register_sample(self, depth: float, force: float) -> None:
-        """Store depth, m, and force, N, of a converged sample for `predict_depth_and_slope`."""
-        self._known = [*self._known[-1:], (depth, force)]
-
-    def predict_depth_and_slope(self, position: float) -> tuple[float, float]:
-        """Predict the depth of the next sample, and the slope of d + compliance F there, from the last two samples."""
-        (d0, f0), (d1, f1) = self._known if len(self._known) == 2 else ((0.0, 0.0), (0.0, 0.0))
-        growth = 1.0 + self.compliance * max(0.0, (f1 - f0) / (d1 - d0)) if d1 != d0 else 1.0
-        return d1 + (position - d1 - self.compliance * f1) / growth, growth
-
-
-class _ToolDrive:
-    """Motion of the tool along the experiment's path, through a load train, in steps that converge.
-
-    Args:
-        solver: solver of the model.
-        model: experiment, material and rig.
-        options: options of each step of the solver, such as its tolerance.
-
-    Attributes:
-        travel: displacement of the tool along its direction of motion at the last sample, m.
-    """
-
-    def __init__(self, solver: Solver, model: Model, **options: Any):
-        self._solver, self._model, self._experiment, self._options = solver, model, model.experiment, options
-        self._train = _LoadTrainDepthPredictor(model.rig.compliance)
-        self._reduced = CombinedForceFactor(
-            model.material.list_acting_force_scaling_effects(plate=model.experiment.tool.is_plate))
-        self.travel = 0.0
-
-    @property
-    def combined_force_factor(self) -> float:
-        """Factor of the effects in reduced form on the force at the present depth of the tool."""
-        return self._reduced.compute_force_factor_at_depth(self._solver.pose.depth)
-
-    def register_sample_and_scale_wrench(self, wrench: Screw, dt: float) -> Screw:
-        """Register a converged sample, dt s after the last one; returns its wrench with effects in reduced form."""
-        wrench = scale_screw(self._reduced.record_depth_and_get_force_factor(self._solver.pose.depth, dt), wrench)
-        self._train.register_sample(self.travel, self._experiment.compute_force_against_motion(wrench))
-        return wrench
-
-    def iterate_positions_durations_and_steps(
-            self, samples: np.ndarray) -> Iterator[tuple[float, float, Iterable[Step]]]:
-        """Yield position, m, time since the last sample, s, and the steps, for samples of the protocol."""
-        protocol = self._experiment.protocol
-        positions = self._model.rig.compute_unloaded_tool_displacement(protocol.displacement)[samples]
-        waits, first = _compute_time_steps_and_first_contact(positions, protocol.time[samples])
-        for number, (position, dt) in enumerate(zip(positions.tolist(), waits.tolist(), strict=True)):
-            if number < first:
-                # The tool is in the air: nothing is solved.
-                self.travel = min(position, 0.0)
-            yield position, dt, self.iterate_solver_steps_to_sample(position, dt) if number >= first else [_NOTHING]
-
-    def iterate_solver_steps_to_sample(self, position: float, dt: float) -> Iterator[Step]:
-        """Yield the steps to one sample, `dt` s after the last sample; the last step is that of the sample.
-
-        The displacement of the tool with a rigid load train is `position`, m.
-        """
-        solver, train = self._solver, self._train
-        if not train.compliance:
-            self.travel = position
-            yield from iterate_adaptive_steps_to_pose(solver, self._make_pose(position), dt, **self._options)
-            return
-        saved = solver.save()
-        depth, growth = train.predict_depth_and_slope(position)
-        before = None
-        for trial in range(_SETTINGS.most_trials):
-            # With cut steps friction takes another path in each trial, and the secant method does not converge: when
-            # the position is almost reached, the tool continues from there.
-            near = trial >= _SETTINGS.many_trials and before is not None and (
-                abs(before[1]) <= _SETTINGS.near_tolerance * max(abs(position), abs(depth), 1e-6))
-            if trial and not near:
-                solver.restore(saved)
-            self.travel = depth
-            duration = 0.0 if near else dt
-            for step in iterate_adaptive_steps_to_pose(solver, self._make_pose(depth), duration, **self._options):
-                yield step
-            if step.status is not StepStatus.CONVERGED:
-                return
-            share = self._reduced.compute_force_factor_at_depth(solver.pose.depth, dt)
-            force = share * self._experiment.compute_force_against_motion(step.wrench)
-            excess = depth + train.compliance * force - position
-            if abs(excess) <= _SETTINGS.position_tolerance * max(abs(position), abs(depth), 1e-6):
-                return
-            # Secant method. The slope is at least 1, the contribution of d itself, also if the tissue softens.
-            if before is not None and depth != before[0]:
-                growth = max((excess - before[1]) / (depth - before[0]), 1.0)
-            before, depth = (depth, excess), depth - excess / growth
-        yield replace(step, status=StepStatus.SLOW, iterations=0)
-
-    def _make_pose(self, travel: float) -> Pose:
-        return self._solver.project_pose(self._experiment.tool_pose(travel))

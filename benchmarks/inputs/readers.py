@@ -25,7 +25,7 @@ from haptics.server import wire
 from haptics.server.commands import ConfigurationCommands
 from scenes.commands.record.protocol_file import read_protocol_file
 from scenes.viewer.material_files import read_uploaded_material
-from tissue_sim.experiment.protocol import parse_protocol
+from tissue_sim.experiment.protocol_text import parse_protocol
 
 #: How an input is refused: files in one sentence, packets and lines of devices by the errors that their callers know.
 REFUSALS = (ts.InputError, wire.WireError, DeviceError)

@@ -549,6 +549,7 @@ def read_or_plan_curves_of_all_tests(campaign: Campaign, replicates: int = PLANN
                              file=campaign.path, field=f"{test.place}.kind")
         try:
             protocol = Protocol.parse(str(test.protocol))
+            protocol.require_displacement_control("a planned test")
             replace(test.experiment, protocol=protocol)
         except InputError as error:
             raise InputError(error.problem, file=campaign.path, field=f"{test.place}.protocol") from None

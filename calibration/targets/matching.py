@@ -200,8 +200,9 @@ def compute_calibrated_forces(model: Model, *, resolution: str = "accurate", sol
     Raises:
         ConvergenceError: the test did not converge.
     """
+    chosen = _find_loaded_samples(model.experiment)
     recording = simulate(model, resolution=resolution, solver=solver)
-    depths, chosen = recording.displacement, _find_loaded_samples(model.experiment)
+    depths = recording.displacement
     loading = recording.time[chosen[-1]] - recording.time[max(chosen[0] - 1, 0)]
     return CalibratedForces(depths[chosen], recording.force[chosen], recording.metadata["solver"]["force_error"],
                             max(float(loading), 1e-9))
@@ -209,6 +210,7 @@ def compute_calibrated_forces(model: Model, *, resolution: str = "accurate", sol
 
 def _find_loaded_samples(experiment: Experiment) -> np.ndarray:
     """Return the indices of the samples from the first touch to the largest depth."""
+    experiment.protocol.require_displacement_control("a match with another program", "experiment.protocol")
     depths = experiment.protocol.displacement
     return np.flatnonzero(depths[: int(depths.argmax()) + 1] > 0.0)
 

@@ -48,10 +48,12 @@ class ProtocolMotion(AxialMotion):
         approach: Approach of the tool that makes the displacements; None: the approach of the scene.
 
     Raises:
-        InputError: `repeat` is set and the protocol ends at another displacement or has one sample only.
+        InputError: the protocol prescribes a force; or `repeat` is set and the protocol ends at another displacement or
+            has one sample only.
     """
 
     def __init__(self, protocol: Protocol, repeat: bool = False, approach: Approach | None = None):
+        protocol.require_displacement_control("a motion of the haptic loop")
         self.approach = approach
         self._times = (protocol.time - protocol.time[0]).tolist()
         self._depths = protocol.displacement.tolist()
@@ -361,6 +363,7 @@ def make_motion_from_protocol_text(text: str) -> ProtocolMotion:
 
 def make_protocol_motion_repeated_if_closed(protocol: Protocol) -> ProtocolMotion:
     """Return a motion along a protocol; it repeats without end if the last displacement equals the first."""
+    protocol.require_displacement_control("a motion of the haptic loop")
     closes = abs(protocol.displacement[-1] - protocol.displacement[0]) < 1e-9
     return ProtocolMotion(protocol, repeat=bool(closes))
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from haptics.devices.contracts import Stage
 from haptics.safety.motion_guard import MotionLimits, require_stop_within_force_margin
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.protocol import MotionLeg
+from tissue_sim.experiment.protocol_legs import MotionLeg
 from tissue_sim.public_names import make_getattr_for_old_names
 
 __getattr__ = make_getattr_for_old_names(__name__, {"IndentationPlan": "BenchTestPlan"})

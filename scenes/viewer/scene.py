@@ -229,9 +229,10 @@ def require_depths_within_scene(scene: Scene, protocol: Protocol, field: str) ->
         field: Name of the motion in messages.
 
     Raises:
-        InputError: The motion is deeper than the scene's mesh allows, or lifts a tool that is attached to a reduced
-            solid.
+        InputError: The protocol prescribes a force, is deeper than the scene's mesh allows, or lifts a tool that is
+            attached to a reduced solid.
     """
+    protocol.require_displacement_control("the viewer", field)
     deepest, mesh_depth = float(protocol.displacement.max()), scene.max_tool_displacement
     # The tolerance of 1 % allows for noise of measured displacements.
     if deepest > 1.01 * mesh_depth:

@@ -163,17 +163,17 @@ def test_quarter_steps_replace_double_steps_that_end_early(monkeypatch):
     """The second simulation fails at its second step; the third one is complete."""
     model, counts = study(points=5, **PLATES), []
 
-    class EndsEarly(simulation._ToolDrive):
-        def iterate_positions_durations_and_steps(self, samples):
-            counts.append(samples.size)
-            for number, (position, dt, steps) in enumerate(super().iterate_positions_durations_and_steps(samples)):
+    class EndsEarly(simulation.ToolDrive):
+        def iterate_goals_durations_and_steps(self):
+            counts.append(self.protocol.time.size)
+            for number, (goal, dt, steps) in enumerate(super().iterate_goals_durations_and_steps()):
                 steps = list(steps)
                 if counts == [5, 3] and number == 2:
                     steps[-1] = replace(steps[-1], status=StepStatus.SLOW)
-                yield position, dt, steps
+                yield goal, dt, steps
 
     both = solver_says(ts.simulate(model))["force_error"]
-    monkeypatch.setattr(simulation, "_ToolDrive", EndsEarly)
+    monkeypatch.setattr(simulation, "ToolDrive", EndsEarly)
     recording = ts.simulate(model)
     assert counts == [5, 3, 17] and solver_says(recording)["warnings"] == []
     assert both / 3 < solver_says(recording)["force_error"] < 3 * both

@@ -44,11 +44,12 @@ class ForceCurve:
         bounds: lowest and highest value of each parameter, SI, shape (m, 2).
 
     Raises:
-        InputError: an unknown parameter.
+        InputError: an unknown parameter, or a protocol that prescribes a force.
     """
 
     def __init__(self, model: Model, names: Sequence[str] | None = None, *, resolution: str = "fast", mesh: Any = None,
                  solver: str = "axisymmetric"):
+        model.experiment.protocol.require_displacement_control("derivatives of the force", "experiment.protocol")
         self.names = tuple(parameters(model.material) if names is None else names)
         found = get_parameters_at_paths(model, self.names)
         self.model = model

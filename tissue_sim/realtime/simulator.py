@@ -13,8 +13,6 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from numbers import Real
 from typing import Any
 
-import numpy as np
-
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.solver import SOLVERS, ResolutionLevel, Surface
 from tissue_sim.fem.taichi.launch import make_single_thread_method
@@ -264,6 +262,7 @@ class Simulator(PathFollowingTissue):
             raise InputError(f"must be positive or None; got {budget:g} s.", field="budget")
         require_valid_max_solves(max_solves)
         require_no_tilt_or_partial_slip(model.experiment)
+        model.experiment.protocol.require_displacement_control("the real-time simulation")
         super().__init__(model, limits)
         self.budget, self.inertia, self.tolerance = budget, inertia, tolerance
         self.looks_ahead, self.strict_axis = looks_ahead, strict_axis
@@ -321,7 +320,7 @@ class Simulator(PathFollowingTissue):
     def _switch_to_finest_mesh_in_budget(self) -> None:
         """Measure ticks, and replace the solver by that of the finest mesh in the budget; at the first call only."""
         levels, self._levels = self._levels, ()
-        depth = float(np.max(self.model.experiment.protocol.displacement))
+        depth = self.model.experiment.protocol.depth
         made: dict[str, Simulator] = {}
 
         def measure_level_tick(level: ResolutionLevel) -> float:

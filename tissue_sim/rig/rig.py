@@ -243,6 +243,45 @@ class Rig:
             self._apply_faults_to_motion(np.asarray(displacement, dtype=float)))
         return compute_nut_positions_and_screw_samples(screw, self.backlash)[0]
 
+    def require_support_of_force_control(self) -> None:
+        """Refuse effects that have no model in a test that is controlled by the force at the load cell.
+
+        Raises:
+            InputError: such an effect; lag, friction and drag of the load train, an offset of the sensor, which is set
+                to zero before such a test, lost steps, and faults.
+        """
+        for name in ("latency", "guide_friction", "rate_damping", "zero_offset", "step_loss"):
+            if value := getattr(self, name):
+                raise InputError(f"must be 0 with a prescribed force; got {value:g}. Remove the effect or prescribe "
+                                 "the displacement", field=f"rig.{name}")
+        if self.faults:
+            raise InputError(f"must be empty with a prescribed force; got {', '.join(self.faults)}. Remove the faults "
+                             "or prescribe the displacement", field="rig.faults")
+
+    def compute_controlled_force(self, reading: float, elapsed: float) -> float:
+        """Return the force on the tool, N, at which the load cell reads a force, N, `elapsed` s after the start.
+
+        Gain and drift of the sensor act; noise does not, because the control filters the noise.
+        """
+        return (reading - self.sensor_drift * elapsed) / (1.0 + self.sensor_gain)
+
+    def compute_reading_without_noise(self, force: float, elapsed: float) -> float:
+        """Return the inverse of `compute_controlled_force`: the reading, N, of a force on the tool, N."""
+        return (1.0 + self.sensor_gain) * force + self.sensor_drift * elapsed
+
+    def compute_reported_displacement(self, position: float, before: tuple[float, float] | None) -> float:
+        """Return the displacement that the stage reports, m: the inverse of `compute_unloaded_tool_displacement`.
+
+        Args:
+            position: of the tool with a rigid load train, m.
+            before: position and reported displacement at the sample before, m; None: the first sample.
+        """
+        if before is not None and position == before[0]:
+            return before[1]
+        # The screw first takes up the play when the tool turns outwards.
+        screw = position - self.backlash if before is not None and position < before[0] else position
+        return screw / (1.0 + self.displacement_gain) + self.contact_offset
+
     def apply_motion_effects(self, recording: Recording) -> Recording:
         """Return the recording with the true force under this rig for the same reported motion; no new simulation.
 

@@ -18,7 +18,9 @@ from haptics.recorder.plan import BenchTestPlan
 from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits
 from tissue_sim.decode import decode_struct, format_toml, read_toml_dict
 from tissue_sim.errors import InputError, located_and_converted_errors
-from tissue_sim.experiment.protocol import STUDY_SPEED, iterate_motion_legs, parse_protocol
+from tissue_sim.experiment.protocol import STUDY_SPEED
+from tissue_sim.experiment.protocol_legs import iterate_motion_legs
+from tissue_sim.experiment.protocol_text import parse_protocol
 from tissue_sim.files import read_text
 from tissue_sim.recording.file import read_recording
 from tissue_sim.specimen import Specimen

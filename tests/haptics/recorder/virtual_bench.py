@@ -10,7 +10,8 @@ from haptics.recorder.recorder import Recorder
 from haptics.recorder.run_folder import RunFolder
 from haptics.safety.motion_guard import GUARD, MotionLimits
 from tissue_sim import Rig
-from tissue_sim.experiment.protocol import iterate_motion_legs, parse_protocol
+from tissue_sim.experiment.protocol_legs import iterate_motion_legs
+from tissue_sim.experiment.protocol_text import parse_protocol
 
 #: Stiffness of the spring, N/m.
 STIFFNESS = 400.0

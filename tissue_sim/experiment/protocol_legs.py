@@ -1,0 +1,188 @@
+"""Legs of a protocol: parts in which the prescribed displacement or force is linear in time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+from tissue_sim.experiment.protocol_text import (
+    DISPLACEMENT,
+    FORCE,
+    Control,
+    ProtocolRepeat,
+    ProtocolSegment,
+    make_protocol_error,
+)
+
+
+@dataclass(frozen=True)
+class MotionLeg:
+    """Part of a protocol in which the displacement or the force is linear in time.
+
+    Attributes:
+        segment: segment that the leg belongs to.
+        start, end: tool displacement, m, negative above the touch; or force, N.
+        speed: m/s or N/s; 0 in a hold.
+        duration: s.
+        cycle: number of the load cycle, from 1; a cycle begins where the tool turns into the tissue again.
+        control: prescribed quantity.
+    """
+
+    segment: ProtocolSegment
+    start: float
+    end: float
+    speed: float
+    duration: float
+    cycle: int
+    control: Control = DISPLACEMENT
+
+
+#: Displacement, m, and force, N, at the first touch.
+_ZERO: dict[Control, float] = {DISPLACEMENT: 0.0, FORCE: 0.0}
+
+
+@dataclass(frozen=True)
+class LoadingState:
+    """State of a protocol between two legs.
+
+    Attributes:
+        speed: control -> speed of the last leg with that control, m/s or N/s; no entry: none was stated.
+        here: control -> present displacement, m, or force, N. The value of a control without an entry depends on the
+            response of the specimen.
+        largest: control -> largest value so far, for the controls in `here`.
+        control: control of the last leg.
+        cycle: number of the present load cycle, from 1.
+        is_withdrawn: whether the last motion was outwards.
+        is_begun: whether a segment precedes.
+    """
+
+    speed: Mapping[Control, float]
+    here: Mapping[Control, float] = field(default_factory=lambda: dict(_ZERO))
+    largest: Mapping[Control, float] = field(default_factory=lambda: dict(_ZERO))
+    control: Control = DISPLACEMENT
+    cycle: int = 1
+    is_withdrawn: bool = False
+    is_begun: bool = False
+
+
+def iterate_motion_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed: float) -> Iterator[MotionLeg]:
+    """Yield the legs of a displacement-controlled protocol, one for each segment, with repeats expanded.
+
+    Args:
+        steps: segments and repeats in order.
+        speed: m/s, for segments before the first stated speed.
+
+    Raises:
+        InputError: a segment that cannot follow the one before, such as an unload at the touch; a segment that
+            prescribes a force.
+    """
+    state = LoadingState({DISPLACEMENT: speed})
+    for segment in iterate_segments_with_repeats(steps):
+        leg, state = make_leg_or_none(segment, state)
+        if leg is None or leg.control == FORCE:
+            raise make_protocol_error(segment.position, f"segments must prescribe displacements here; got a "
+                                      f"{segment.kind} that prescribes a force. State lengths such as 10mm")
+        yield leg
+
+
+def iterate_segments_with_repeats(steps: Sequence[ProtocolSegment | ProtocolRepeat]) -> Iterator[ProtocolSegment]:
+    """Yield the segments in order; yield those of a repeat as often as the repeat states."""
+    for step in steps:
+        for _ in range(step.times if isinstance(step, ProtocolRepeat) else 1):
+            yield from step.segments if isinstance(step, ProtocolRepeat) else (step,)
+
+
+def make_leg_or_none(segment: ProtocolSegment, state: LoadingState) -> tuple[MotionLeg | None, LoadingState]:
+    """Make the leg of a segment.
+
+    Returns:
+        The leg, and the state after it; None and the given state if the leg starts from a value that depends on the
+        response of the specimen.
+
+    Raises:
+        InputError: the segment cannot follow the one before.
+    """
+    control = segment.control or state.control
+    if segment.kind != "hold" and segment.speed is not None:
+        state = replace(state, speed={**state.speed, control: segment.speed})
+    if segment.kind == "approach" and not state.is_begun:
+        height = -_require_approach_height(segment)
+        state = replace(state, here={**state.here, DISPLACEMENT: height})
+    if control not in state.here:
+        return None, state
+    here, largest = state.here[control], state.largest[control]
+    end = _find_end(segment, here, largest, control)
+    cycle, is_withdrawn = state.cycle, state.is_withdrawn
+    if end > here and is_withdrawn:
+        cycle, is_withdrawn = cycle + 1, False
+    if segment.kind == "hold":
+        leg = MotionLeg(segment, here, end, 0.0, segment.amount or 0.0, cycle, control)
+    elif control in state.speed:
+        speed = state.speed[control]
+        leg = MotionLeg(segment, here, end, speed, abs(end - here) / speed, cycle, control)
+    else:
+        raise make_protocol_error(segment.position, f"the first {segment.kind} that prescribes a force needs a loading "
+                                  "rate, such as ramp 2N @0.5N/s")
+    known, most = {control: end}, {control: max(largest, end)}
+    if control == DISPLACEMENT and here <= end <= 0.0 and largest <= 0.0 and FORCE in state.here:
+        # The tool has not touched the specimen yet.
+        known[FORCE], most[FORCE] = state.here[FORCE], state.largest[FORCE]
+    return leg, LoadingState(state.speed, known, most, control, cycle, is_withdrawn or end < here, True)
+
+
+def _require_approach_height(segment: ProtocolSegment) -> float:
+    """Return the height above the touch at which an approach starts, m; raise an error if none is given."""
+    if segment.amount is None:
+        raise make_protocol_error(segment.position, "the first approach needs the height above the touch at which it "
+                                  "starts, such as approach 2mm")
+    return segment.amount
+
+
+def _find_end(segment: ProtocolSegment, here: float, largest: float, control: Control) -> float:
+    """Return the displacement, m, or force, N, at the end of a segment.
+
+    Args:
+        segment: the segment.
+        here: value at its start.
+        largest: largest value so far.
+        control: prescribed quantity.
+    """
+    kind, amount, is_force = segment.kind, segment.amount, control == FORCE
+    now = f"the force is {_format_force(here)}" if is_force else f"the tool is at {_format_mm(here)}"
+    match kind:
+        case "hold":
+            return here
+        case "approach":
+            if here >= 0 or (amount is not None and not math.isclose(amount, -here, rel_tol=1e-9)):
+                height = "above the touch" if amount is None else f"{_format_mm(amount)} above the touch"
+                raise make_protocol_error(segment.position, f"an approach starts {height}, but {now}; retract to that "
+                                          "height first")
+            return 0.0
+        case "ramp" | "reload":
+            aim = "force" if is_force else "depth"
+            if amount is None and largest <= 0:
+                raise make_protocol_error(segment.position, f"a reload needs an earlier ramp or a {aim}; ramp first, "
+                                          f"or name a {aim}")
+            end = largest if amount is None else amount
+            if end <= here:
+                change = "increase the force" if is_force else "go deeper"
+                raise make_protocol_error(segment.position, f"a {kind} must {change}, but {now} already; name a larger "
+                                          f"{aim}, or unload before it")
+            return end
+        case "unload" | "retract":
+            end = (-1.0 if kind == "retract" else 1.0) * (amount or 0.0)
+            if end >= here:
+                article, change = "an" if kind == "unload" else "a", "reduce the force" if is_force else "go outwards"
+                raise make_protocol_error(segment.position, f"{article} {kind} must {change}, but {now} already; its "
+                                          f"end is {_format_force(end) if is_force else _format_mm(end)}")
+            return end
+    raise make_protocol_error(segment.position, f"unknown segment {kind!r}")
+
+
+def _format_mm(length: float) -> str:
+    return f"{length * 1e3:.6g} mm"
+
+
+def _format_force(force: float) -> str:
+    return f"{force:.6g} N"
