@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -42,11 +43,29 @@ class ConfinedForm(ClosedForm):
         """
         import numpy as np
 
-        if np.isinf(material.bulk_modulus):
+        bulk_modulus = self._require_bulk_modulus(material)
+        isochoric = super().stress_history(material, time, abscissa, contact_radius)
+        return isochoric + bulk_modulus * (np.asarray(abscissa, dtype=float) - 1.0)
+
+    def strain_history(self, material: Material, time: np.ndarray, nominal_stress: np.ndarray,
+                       contact_radius: float) -> np.ndarray:
+        """Return the stretch under a prescribed stress, shape (n,); see `ClosedForm.strain_history`.
+
+        Raises:
+            InputError: as in `stress_history`, or a stress that the material does not reach.
+        """
+        from tissue_sim.closed_form.creep import compute_strain_history
+
+        return compute_strain_history(self.law_mode, material, time, nominal_stress, contact_radius,
+                                      self._require_bulk_modulus(material))
+
+    @staticmethod
+    def _require_bulk_modulus(material: Material) -> float:
+        """Return the bulk modulus, Pa; raise an `InputError` if it is infinite."""
+        if math.isinf(material.bulk_modulus):
             raise InputError("must be finite in confined compression, which changes the volume. State bulk.K_Pa or "
                              "another bulk response", field="bulk")
-        isochoric = super().stress_history(material, time, abscissa, contact_radius)
-        return isochoric + material.bulk_modulus * (np.asarray(abscissa, dtype=float) - 1.0)
+        return material.bulk_modulus
 
     def find_extreme_stretches(self, low: float, high: float) -> tuple[float, float]:
         """Return the smallest and largest isochoric principal stretch, l^(2/3) and l^(-1/3); see the base class."""

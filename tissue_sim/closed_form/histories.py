@@ -25,6 +25,31 @@ from tissue_sim.material.viscoelasticity import Prony, compute_internal_stress_h
 LARGEST_STEP = 0.002
 
 
+def compute_softened_second_piola_stress(deformation: HomogeneousDeformation, law: Law, values, strain: np.ndarray,
+                                         factor: float, softening: Softening | None,
+                                         largest_energy: float = 0.0) -> tuple[np.ndarray, float]:
+    """Compute the elastic stress S with softening, without relaxation, along a path.
+
+    Args:
+        deformation: homogeneous deformation.
+        law: strain energy.
+        values: parameters of the law.
+        strain: stretches or shear strains in order of time, shape (points, abscissas).
+        factor: instantaneous moduli over those of `values`.
+        softening: Mullins effect.
+        largest_energy: largest energy density before the path, J/m3.
+
+    Returns:
+        Components of S, Pa, shape (points, components); and the largest energy density after the path, J/m3.
+    """
+    energy, S = deformation.compute_energy_and_stress(law, values, strain)
+    if softening is not None:
+        energy = factor * energy
+        largest = np.maximum(np.maximum.accumulate(energy), largest_energy)
+        S, largest_energy = S * softening.factor(energy, largest)[:, None], float(largest[-1])
+    return factor * S, largest_energy
+
+
 @dataclass(frozen=True, eq=False)
 class StrainHistory:
     """Deformation of a homogeneous test against time, from rest, linear between its points.
@@ -91,15 +116,6 @@ class StrainHistory:
         _, strain, samples = self._divided_steps_strains_and_samples
         return self.deformation.compute_nominal_stress_weights(strain[samples])
 
-    def _compute_softened_second_piola_stress(self, law: Law, values, factor: float,
-                                              softening: Softening | None) -> np.ndarray:
-        """Compute the components of the elastic stress S with softening, without relaxation, Pa, shape (points, m)."""
-        energy, S = self.deformation.compute_energy_and_stress(law, values, self._divided_steps_strains_and_samples[1])
-        if softening is not None:
-            energy = factor * energy
-            S = S * softening.factor(energy, np.maximum.accumulate(energy))[:, None]
-        return factor * S
-
     def nominal_stress(self, law: Law, values, prony: Prony | None = None, softening: Softening | None = None,
                        factor: float = 1.0) -> np.ndarray:
         """Compute the nominal stress at the samples, Pa, shape of `strain`.
@@ -130,8 +146,8 @@ class StrainHistory:
             `elastic`, shape of `strain`, and `relaxing`, with an additional last axis of the terms, both in Pa at the
             samples.
         """
-        dt, _, samples = self._divided_steps_strains_and_samples
-        stress = self._compute_softened_second_piola_stress(law, values, factor, softening)
+        dt, strain, samples = self._divided_steps_strains_and_samples
+        stress, _ = compute_softened_second_piola_stress(self.deformation, law, values, strain, factor, softening)
         weights = self._sample_weights
         relaxing = compute_internal_stress_history_over_g(dt, stress, tau)[samples]
         elastic = np.einsum("nac,nc->na", weights, stress[samples])
@@ -180,6 +196,18 @@ def shear_stress_history(material: Material, time, shear, contact_radius: float 
 def compute_stress_history(mode: str, material: Material, time, strain, contact_radius: float | None) -> np.ndarray:
     """Compute the nominal stress of a mode of `StrainHistory`; arguments as in `nominal_stress_history`."""
     history = StrainHistory(mode, time, strain)
+    require_homogeneous_material(material)
+    prony = material.make_prony_series(contact_radius)
+    return history.nominal_stress(material.energy_law, material.values, prony, material.softening,
+                                  material.instantaneous_over_law_modulus_ratio)
+
+
+def require_homogeneous_material(material: Material) -> None:
+    """Refuse a material without a closed form.
+
+    Raises:
+        InputError: regions, layers or effects at material points.
+    """
     if material.regions:
         raise InputError("a specimen with regions does not deform homogeneously; use the finite elements",
                          field="regions")
@@ -189,6 +217,3 @@ def compute_stress_history(mode: str, material: Material, time, strain, contact_
         raise InputError("must not be given, because closed forms do not include effects at material points. Use the "
                          "finite elements",
                          field=f"effects.{added[0]}")
-    prony = material.make_prony_series(contact_radius)
-    return history.nominal_stress(material.energy_law, material.values, prony, material.softening,
-                                  material.instantaneous_over_law_modulus_ratio)

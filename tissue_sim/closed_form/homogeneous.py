@@ -84,6 +84,26 @@ class ClosedForm:
 
         return compute_stress_history(self.law_mode, material, time, abscissa, contact_radius)
 
+    def strain_history(self, material: Material, time: np.ndarray, nominal_stress: np.ndarray,
+                       contact_radius: float) -> np.ndarray:
+        """Return stretch or shear strain of a test with a prescribed nominal stress: the inverse of `stress_history`.
+
+        Args:
+            material: the material.
+            time: s, shape (n,).
+            nominal_stress: Pa, shape (n,), linear between the points.
+            contact_radius: m, for the time of drainage.
+
+        Returns:
+            Shape (n,).
+
+        Raises:
+            InputError: the material has no closed form, or does not reach the stress.
+        """
+        from tissue_sim.closed_form.creep import compute_strain_history
+
+        return compute_strain_history(self.law_mode, material, time, nominal_stress, contact_radius)
+
     def find_extreme_stretches(self, low: float, high: float) -> tuple[float, float]:
         """Return the smallest and largest principal stretch between two abscissas and the undeformed state."""
         if self.rest == 0.0:

@@ -15,6 +15,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 from tissue_sim.closed_form.homogeneous import ClosedForm
+from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
     import numpy as np
@@ -72,6 +73,12 @@ class TorsionForm(ClosedForm):
         history = super().stress_history
         return self._average(lambda shear: history(material, time, shear, contact_radius), abscissa, 2)
 
+    def strain_history(self, material: Material, time: np.ndarray, nominal_stress: np.ndarray,
+                       contact_radius: float) -> np.ndarray:
+        """Raise an `InputError`: creep under a torque is not implemented, because the strain varies with the radius."""
+        raise InputError("must prescribe an angle in torsion; a prescribed torque has no closed form here. Prescribe "
+                         "the angle", field="protocol")
+
     def convert_motion_and_load(self, specimen: Specimen, motion: np.ndarray,
                                 load: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
         """Return shear strain at the rim and 2 M / (pi a^3), Pa, of an angle, rad, and a torque, N m.
@@ -81,7 +88,6 @@ class TorsionForm(ClosedForm):
         """
         import numpy as np
 
-        from tissue_sim.errors import InputError
         from tissue_sim.specimen.cylinder import Cylinder
 
         if not isinstance(specimen, Cylinder):
