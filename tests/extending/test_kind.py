@@ -1,5 +1,7 @@
 """A kind of test from one file: its recordings are read, and calibrated by its closed form."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -117,5 +119,15 @@ def test_what_nothing_can_answer_is_refused(kind):
         ts.KINDS.register(kind, "simple_shear")
     with pytest.raises(ts.InputError, match="neither a tool nor a closed form"):
         ts.KINDS.register(ts.TestKind(name="pulling", title="Pulling", tool=None, sign=1.0))
-    with pytest.raises(ts.InputError, match="is controlled by its force"):
-        ts.KINDS.register(ts.TestKind(name="creep", title="Creep", tool=ts.Tool(), sign=-1.0, control="force"))
+    with pytest.raises(ts.InputError, match="control must be left out; got 'force'"):
+        ts.TestKind(name="creep", title="Creep", tool=ts.Tool(), sign=-1.0, control="force")
+
+
+def test_control_is_that_of_the_protocol():
+    """A kind of an older release that states its control is the kind without it."""
+    with pytest.warns(DeprecationWarning, match="TestKind has no control; the protocol prescribes"):
+        old = ts.TestKind(name="pressing", title="Pressing", tool=ts.Tool(), sign=-1.0, control="displacement")
+    assert old == ts.TestKind(name="pressing", title="Pressing", tool=ts.Tool(), sign=-1.0)
+    assert replace(old, sign=1.0).sign == 1.0
+    creep = old.experiment(specimen=ts.Specimen(0.02, 0.02), protocol=ts.Protocol.parse("ramp 1N @1N/s; hold 5s"))
+    assert creep.protocol.uses_force_control

@@ -342,7 +342,7 @@ def test_a_multirate_tissue_has_a_process_for_its_bulk_unless_a_link_is_given():
     ("tissue_sim.experiment.tools.flat", "Flat"), ("tissue_sim.laws.neo_hooke", "NeoHooke"),
     ("tissue_sim.material.puncture", "Puncture"), ("tissue_sim.rig.inertia", "Inertia"),
     ("tissue_sim.atomic_write", "write_text"), ("tissue_sim.experiment.approach", "Approach"),
-    ("tissue_sim.experiment.protocol_text", "parse_protocol"), ("tissue_sim.experiment.tools.sizes", "edge_radius"),
+    ("tissue_sim.experiment.tools.sizes", "edge_radius"),
     ("tissue_sim.fem.free_tool", "FreeTool"), ("tissue_sim.force_error", "RelativeForceErrorEstimate"),
     ("tissue_sim.kernel_owner", "CopyError"), ("tissue_sim.material.layer", "Layer"),
     ("tissue_sim.mesh.block", "create_block_mesh_under_plate"),

@@ -1,4 +1,4 @@
-"""Kinds of test: definition, and registry by name.
+"""Kinds of test: definition, and registry by name. A kind names the deformation; a protocol controls the test.
 
 A new kind is a `TestKind` in a file of this folder and a line in `KINDS`, or an entry point of the group
 ``tissue_sim.kinds`` in another package. Campaigns, recordings, calibration, command line and viewer read the attributes
@@ -7,7 +7,8 @@ of a kind and depend on no name. The module does not import numpy, so that ``--h
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import warnings
+from dataclasses import InitVar, dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from tissue_sim.closed_form.homogeneous import ClosedForm
@@ -75,7 +76,6 @@ class TestKind:
         tool_stated: whether a campaign must state the shape of the tool.
         has_lateral_wall: whether rigid walls without friction hold the side of the specimen.
         face, base, shaft: interfaces of the tool's face, of the base and of a needle's shaft.
-        control: ``"displacement"``.
         sign: sign of strain and nominal stress for positive displacement and force: -1 in compression, 1 in tension.
         channels: pairs (motion, load); a recording needs one of them. The first is that of the machine.
         closed_form: nominal stress of the homogeneous deformation; None if only finite elements give the force.
@@ -88,7 +88,7 @@ class TestKind:
             number, or in an entry for the test method that names no other test.
 
     Raises:
-        InputError: another control, or neither a tool nor a closed form.
+        InputError: neither a tool nor a closed form, or a control other than the old value ``"displacement"``.
     """
 
     __test__: ClassVar[bool] = False  # for pytest
@@ -101,7 +101,6 @@ class TestKind:
     face: FaceInterface = FaceInterface("bonded", fixed=True)
     base: FaceInterface = FaceInterface("bonded", fixed=True)
     shaft: FaceInterface = FaceInterface("frictionless")
-    control: str = "displacement"
     sign: float
     channels: tuple[tuple[str, str], ...] = (DISPLACEMENT_FORCE,)
     closed_form: ClosedForm | None = None
@@ -109,11 +108,15 @@ class TestKind:
     title_words: tuple[str, ...] = ()
     file_words: tuple[str, ...] = ()
     sole_words: tuple[str, ...] = ()
+    control: InitVar[str | None] = None
 
-    def __post_init__(self):
-        if self.control != "displacement":
-            raise InputError(f"{self.name!r} is controlled by its {self.control}; only tests with prescribed motion "
-                             "are supported, so give control='displacement'", field="tissue_sim.kinds")
+    def __post_init__(self, control: str | None):
+        if control not in (None, "displacement"):
+            raise InputError(f"control must be left out; got {control!r}. The protocol prescribes displacement or "
+                             "force", field="tissue_sim.kinds")
+        if control is not None:
+            warnings.warn("TestKind has no control; the protocol prescribes displacement or force. Leave control out",
+                          DeprecationWarning, stacklevel=3)
         if self.tool is None and self.closed_form is None:
             raise InputError(f"{self.name!r} has neither a tool nor a closed form, so that no model computes its "
                              "force; give one of them", field="tissue_sim.kinds")
