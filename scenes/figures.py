@@ -37,8 +37,8 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str |
     """Draw the deformed section and force against displacement into an image file.
 
     An axisymmetric indentation has a third panel, the surface fold at the edge of the tool. A three-dimensional
-    simulation shows a section through the axis of the tool and a view of the surface. A ring on the force curve marks
-    the sample that is drawn.
+    simulation shows a section through the axis of the tool and a view of the surface. With a prescribed force the
+    displacement is also drawn against time. A ring on the curves marks the sample that is drawn.
 
     Args:
         recording: result of `simulate(..., fields=True)`.
@@ -69,13 +69,17 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str |
         raise InputError(f"the solver does not compute {field or 'a known field'}; it computes "
                          f"{', '.join(fields.names)}", field="field")
     figure = Figure(layout="constrained")
+    # Displacement against time is drawn below the force curve.
+    curves: Any = [["curve"], ["time"]] if model.experiment.protocol.uses_force_control else "curve"
     if isinstance(fields.geometry(), SolidGeometry):
         axes = _draw_solid_panels_and_get_axes(figure, fields, field, sample,
                                                model.experiment.tool_pose(recording.displacement[sample]),
-                                               tool)
+                                               tool, curves)
     else:
-        axes = _draw_axisymmetric_panels_and_get_axes(figure, fields, field, sample, tool)
+        axes = _draw_axisymmetric_panels_and_get_axes(figure, fields, field, sample, tool, curves)
     curve = axes["curve"]
+    if "time" in axes:
+        _draw_displacement_against_time(axes["time"], recording, sample)
     if reference is not None:
         curve.plot(reference.displacement * 1e3, reference.force, color="0.25", linewidth=1, label=reference.name)
     depth = recording.displacement[sample] * 1e3
@@ -101,40 +105,51 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str |
 
 
 def _draw_solid_panels_and_get_axes(figure, fields: DrawableFields, field: str, sample: int, pose: Pose,
-                                    tool: Tool) -> dict[str, Any]:
+                                    tool: Tool, curves: Any) -> dict[str, Any]:
     """Draw section and surface of a three-dimensional simulation.
 
     Returns:
-        Axes by name; the axes "curve" are still empty.
+        Axes by name; the axes of `curves`, the cell of the mosaic with the curves, are still empty.
     """
     pose = choose_drawn_tool_pose(fields, sample, pose, tool)
     figure.set_size_inches(14.5, 4.8)
-    axes = figure.subplot_mosaic([["cut", "surface", "curve"]], width_ratios=[1.25, 1.1, 0.85])
+    axes = figure.subplot_mosaic([["cut", "surface", curves]], width_ratios=[1.25, 1.1, 0.85])
     draw_section_through_tool_axis(axes["cut"], fields, field, sample, pose, tool)
     draw_deformed_surface(axes["surface"], fields, field, sample, pose, tool)
     return axes
 
 
 def _draw_axisymmetric_panels_and_get_axes(figure, fields: DrawableFields, field: str,
-                                           sample: int, tool: Tool) -> dict[str, Any]:
+                                           sample: int, tool: Tool, curves: Any) -> dict[str, Any]:
     """Draw the section of an axisymmetric simulation and, for an indentation, the fold at the tool's edge.
 
     Returns:
-        Axes by name; the axes "curve" are still empty.
+        Axes by name; the axes of `curves`, the cell of the mosaic with the curves, are still empty.
     """
-    panels = {"section": 1.25} | ({"fold": 0.75} if not tool.is_plate else {}) | {"curve": 1.0}
+    panels = {"section": 1.25} | ({"fold": 0.75} if not tool.is_plate else {})
     radius, height = np.ptp(fields.geometry().nodes, axis=0)
     if radius > 1.5 * height:
         figure.set_size_inches(10, 6.4)
-        layout: list[Any] = [["section"] * (len(panels) - 1), list(panels)[1:]]
+        layout: list[Any] = [["section"] * len(panels), [*list(panels)[1:], curves]]
         axes = figure.subplot_mosaic(layout, height_ratios=[1, 1.6])
     else:
         figure.set_size_inches(10 if tool.is_plate else 13, 4.6)
-        axes = figure.subplot_mosaic([list(panels)], width_ratios=list(panels.values()))
+        axes = figure.subplot_mosaic([[*panels, curves]], width_ratios=[*panels.values(), 1.0])
     draw_section(axes["section"], fields, field, sample, tool=tool)
     if "fold" in axes:
         draw_tool_edge_closeup(axes["fold"], fields, field, tool, sample)
     return axes
+
+
+def _draw_displacement_against_time(axes, recording: Recording, sample: int) -> None:
+    """Draw the displacement against time, with a ring at the drawn sample."""
+    displacement = recording.displacement * 1e3
+    axes.plot(recording.time, displacement, color="#0072B2", marker="o", markersize=3)
+    axes.plot(recording.time[sample], displacement[sample], color="#D55E00", marker="o", markersize=8, fillstyle="none")
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("displacement [mm]")
+    axes.grid(alpha=0.3)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def _find_segment_end_or_deepest_sample(recording: Recording, segment: str | None) -> int:

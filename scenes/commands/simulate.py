@@ -103,9 +103,10 @@ def _run(arguments: Namespace) -> CommandResult:
 
     for path in outputs:
         require_overwritable_sidecar(path)
-    protocol, rig = make_protocol_from_flags(arguments), load_rig_with_noise_and_seed_flags(arguments)
+    protocol = make_protocol_from_flags(arguments, allows_force=True)
+    rig = load_rig_with_noise_and_seed_flags(arguments)
     points = rig.count_readings(protocol.time)
-    if outputs and points < MIN_POINTS:
+    if outputs and points < MIN_POINTS and protocol.remaining is None:
         raise InputError(f"a recording needs at least {MIN_POINTS} samples; got {points}. Add samples, or leave out -o",
                          field="--points" if rig.sampling_rate is None else "--rig")
     material_file = ts.read_material_file(arguments.material)
@@ -113,8 +114,11 @@ def _run(arguments: Namespace) -> CommandResult:
     from scenes.commands.material.summary import list_warnings_if_test_leaves_range
 
     experiment = make_experiment_from_flags(arguments, protocol, material_file.material)
-    # The solver needs the compliance of the rig only; the sensor is applied below, once for each replicate.
-    model = ts.Model(experiment, material_file.material, rig.with_motion_effects_only)
+    # The solver needs the effects on the motion only; the sensor is applied below, once for each replicate. A machine
+    # that controls the force reads the sensor, so that only noise and sampling are applied below.
+    simulated, read = (rig.without_sampling_effects, rig.with_sampling_effects_only) if protocol.uses_force_control \
+        else (rig.with_motion_effects_only, rig)
+    model = ts.Model(experiment, material_file.material, simulated)
     failure = None
     estimates_error = not (arguments.no_force_error or experiment.slip) and arguments.solver == "axisymmetric"
     with display_task("simulating", quiet=arguments.json) as status:
@@ -132,7 +136,7 @@ def _run(arguments: Namespace) -> CommandResult:
                          "Leave --figure out",
                          field="--figure")
     recordings = simulate_replicate_readings(
-        rig, recording.with_metadata(**make_kind_specimen_tool_metadata(arguments.scene, experiment)),
+        read, recording.with_metadata(**make_kind_specimen_tool_metadata(arguments.scene, experiment)),
         arguments.replicates)
     for path, written in zip(outputs, recordings, strict=bool(outputs)):
         ts.write_recording(written, path)

@@ -79,12 +79,47 @@ class TestProtocol:
         assert code == 0, err
         assert "3.317 N at 5 mm" in (tmp_path / "f.svg").read_text(encoding="utf-8")
 
+    def test_prescribed_force(self, simulate, simulate_json, tmp_path):
+        """A lubricated cylinder with 3.31757 N at 5 mm in closed form; the figure shows displacement against time."""
+        words = ["--protocol", "ramp 3.31757N @1N/s; hold 2s; unload 1mm @2mm/s", "--points", "6"]
+        answer = simulate_json(LUBRICATED, *words)
+        forces = np.array(answer["force_N"])
+        np.testing.assert_allclose(forces[:6], np.linspace(0.0, 3.31757, 6), atol=1e-7)
+        assert answer["displacement_mm"][5] == pytest.approx(5.0, rel=1e-3)
+        assert answer["time_s"][-1] == pytest.approx(3.31757 + 2.0 + 0.5 * (answer["displacement_mm"][-6] - 1.0))
+        code, out, err = simulate(LUBRICATED, *words, "--figure", str(tmp_path / "f.svg"), "-o",
+                                  str(tmp_path / "c.csv"))
+        assert code == 0 and "3.3176" in out, err
+        figure = (tmp_path / "f.svg").read_text(encoding="utf-8")
+        assert "<!-- time [s] -->" in figure and "<!-- displacement [mm] -->" in figure
+        read = ts.read_recording(tmp_path / "c.csv")
+        np.testing.assert_allclose(read.force, forces, atol=1e-6)
+
+    def test_machine_controls_the_reading_of_its_sensor(self, simulate_json, tmp_path):
+        """A sensor that reads 10 % too much: the specimen gets 1/1.1 of the prescribed force, and noise is added."""
+        write_rig(Rig(sensor_gain=0.1), tmp_path / "r.rig.json")
+        words = [LUBRICATED, "--protocol", "ramp 1.1N @1N/s", "--points", "3", "--rig", str(tmp_path / "r.rig.json")]
+        plain = simulate_json(LUBRICATED, "--protocol", "ramp 1N @1N/s", "--points", "3")
+        quiet, noisy = simulate_json(*words), simulate_json(*words, "--noise-N", "0.01", "--seed", "3")
+        assert quiet["displacement_mm"] == pytest.approx(plain["displacement_mm"], rel=1e-6)
+        assert quiet["force_N"] == pytest.approx([0.0, 0.55, 1.1], abs=1e-7)
+        assert noisy["displacement_mm"] == quiet["displacement_mm"]
+        assert 1e-3 < abs(noisy["force_N"][-1] - 1.1) < 0.05
+
+    @pytest.mark.parametrize("command", ["loop", "view"])
+    def test_commands_in_real_time_refuse_a_force(self, command, material, capsys):
+        words = ["--headless", "--seconds", "1"] if command == "view" else []
+        code = main([command, LUBRICATED, "--material", material, "--protocol", "ramp 1N @1N/s", *words])
+        assert code == 2 and "--protocol: must prescribe displacements for this command; got a prescribed force" \
+            in capsys.readouterr().err
+
     @pytest.mark.parametrize(("words", "expected"), [
+        (["--protocol", "ramp 1N"], "the first ramp that prescribes a force needs a loading rate, such as ramp 2N @"),
         (["--protocol", "ramp 10mm; hld 60s"], "protocol: column 12, at 'hld 60s': unknown segment 'hld'; did you mean "
          "'hold'? For example 'ramp 10mm"),
         (["--protocol", "ramp 10mm", "--depth-mm", "5"], "--depth-mm: cannot be combined with --protocol"),
         (["--protocol", "ramp 70mm"], "deeper than the specimen is high"),
-        (["--protocol", "hold 1s; ramp 200km"], "'km' is not a unit of length; use mm, um, m"),
+        (["--protocol", "hold 1s; ramp 200km"], "'km' is not a unit of length or force; use mm, um, m"),
     ])
     def test_faults(self, words, expected, simulate):
         code, out, err = simulate(LUBRICATED, *words)

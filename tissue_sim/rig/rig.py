@@ -212,6 +212,11 @@ class Rig:
         return self._make_rig_with_effects_on_targets(_TOOL, _READING, faults=self.faults)
 
     @property
+    def with_sampling_effects_only(self) -> Rig:
+        """Rig with noise, resolution, sampling rate and seed only."""
+        return replace(self._make_rig_with_effects_on_targets(_SAMPLES, faults=()), seed=self.seed)
+
+    @property
     def needs_time(self) -> bool:
         """Whether a reading depends on the time or the speed of the motion."""
         return any((self.latency, self.rate_damping, self.sensor_drift, self.sampling_rate,

@@ -127,7 +127,8 @@ def _add_motion_flags(parser: InputErrorArgumentParser) -> None:
                         help=f"largest tool displacement of a single ramp (default: {MOTION_FLAGS.depth_mm:g})")
     motion.add_argument("--protocol", metavar="TEXT",
                         help="motion in segments instead of --depth-mm, such as 'approach 2mm; ramp 10mm @0.248mm/s; "
-                        "hold 60s; unload; reload; retract 2mm' or 'repeat 3 (ramp 5mm; unload)'")
+                        "hold 60s; unload; reload; retract 2mm' or 'repeat 3 (ramp 5mm; unload)'; with a prescribed "
+                        "force, such as creep: 'ramp 2N @0.5N/s; hold 60s; unload'")
     motion.add_argument("--points", type=make_integer_parser(2, MOTION_FLAGS.max_points), metavar="N",
                         default=MOTION_FLAGS.points,
                         help="number of samples of the ramp, or of each moving segment, its first one included "
@@ -220,11 +221,15 @@ def require_known_scene(name: str) -> None:
         raise InputError(f"unknown scene {name!r}{make_hint_with_similar_or_known_words(name, SCENES)}")
 
 
-def make_protocol_from_flags(arguments) -> Protocol:
-    """Return the motion of the tool: the ramp of ``--depth-mm`` or the segments of ``--protocol``.
+def make_protocol_from_flags(arguments, *, allows_force: bool = False) -> Protocol:
+    """Return the protocol: the ramp of ``--depth-mm`` or the segments of ``--protocol``.
+
+    Args:
+        arguments: parsed arguments of `add_experiment_flags`.
+        allows_force: whether the command accepts a prescribed force.
 
     Raises:
-        InputError: both flags are given, or the protocol is invalid.
+        InputError: both flags are given, the protocol is invalid, or it prescribes a force.
     """
     from tissue_sim import Protocol
 
@@ -234,7 +239,10 @@ def make_protocol_from_flags(arguments) -> Protocol:
     if arguments.depth_mm is not None:
         raise InputError("cannot be combined with --protocol, which states its own depths. Leave one of them out",
                          field="--depth-mm")
-    return Protocol.parse(arguments.protocol, arguments.points, speed)
+    protocol = Protocol.parse(arguments.protocol, arguments.points, speed)
+    if not allows_force:
+        protocol.require_displacement_control("this command", "--protocol")
+    return protocol
 
 
 def refuse_tilt_and_slip_correction_flags(arguments) -> None:
