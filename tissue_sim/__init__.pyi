@@ -3,6 +3,8 @@
 from tissue_sim.autodiff.force_curve import ForceCurve as ForceCurve
 from tissue_sim.autodiff.jax_curve import JaxForceCurve as JaxForceCurve
 from tissue_sim.autodiff.torch_curve import TorchForceCurve as TorchForceCurve
+from tissue_sim.closed_form.creep import shear_strain_history as shear_strain_history
+from tissue_sim.closed_form.creep import stretch_history as stretch_history
 from tissue_sim.closed_form.histories import nominal_stress_history as nominal_stress_history
 from tissue_sim.closed_form.histories import shear_stress_history as shear_stress_history
 from tissue_sim.differentiation import Sensitivities as Sensitivities

@@ -1,5 +1,7 @@
 """Fit of an engine's constants: least squares against a program whose forces are known, damping, and draws."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -200,6 +202,14 @@ def test_tests_that_a_program_does_not_have_are_refused(changes, field, mesh):
     with pytest.raises(InputError) as raised:
         make_target_test(model(**changes).experiment, mesh)
     assert raised.value.field == field
+
+
+def test_a_prescribed_force_is_refused(mesh):
+    experiment = replace(model().experiment, protocol=ts.Protocol.parse("ramp 1N @1N/s"))
+    with pytest.raises(InputError, match="must prescribe displacements for a match with another program; got a presc"):
+        make_target_test(experiment, mesh)
+    with pytest.raises(InputError, match="must prescribe displacements for a match with another program; got a presc"):
+        compute_calibrated_forces(replace(model(), experiment=experiment))
 
 
 def test_the_path_is_that_of_the_loading(mesh):

@@ -107,10 +107,11 @@ def test_default_scatter_is_proportional_to_the_force(tmp_path):
     ("force_N = 0.01\n", "", "state the standard deviation of the force sensor"),
     ("; hold 30s; unload", "; hold 30", "'30'"),
     ("ramp 3mm", "ramp 30mm", "plan.toml: test[0].protocol"),
+    ("ramp 3mm @0.2mm/s", "ramp 3N @0.2N/s", "test[0].protocol: must prescribe displacements for a planned test"),
     ("start = { C10 = 1500.0 }\n", "", "fit.start must give the material of a design; state C10"),
     ('"inverse_fem"', '"analytical"', "inverse_fem"),
     ("protocol =", "protokol =", "protokol"),
-], ids=["noise", "protocol", "depth", "start", "method", "key"])
+], ids=["noise", "protocol", "depth", "force", "start", "method", "key"])
 def test_bad_input_is_one_sentence(old, new, expected, tmp_path, capsys):
     assert main(["design", str(write(tmp_path, PLAN.replace(old, new)))]) == 2
     stdout, stderr = capsys.readouterr()

@@ -117,6 +117,12 @@ def test_the_folder_of_a_run_contains_all_files_of_its_campaign(protocol, tmp_pa
     assert test.rig == ts.Rig(zero_offset=0.25)
 
 
+def test_a_prescribed_force_is_refused(protocol, capsys):
+    path = protocol(replace={"ramp 4mm @8mm/s; unload": "ramp 1N @1N/s"})
+    assert main(["record", str(path), "--dry-run"]) == 2
+    assert "segments must prescribe displacements here; got a ramp that prescribes a force" in capsys.readouterr().err
+
+
 def test_recordings_of_a_prism_state_its_known_sizes(protocol):
     path = protocol(replace={"radius_mm = 40.0": 'shape = "prism"\narea_mm2 = 400.0'})
     said = read_protocol_file(path).plans["plates"].about["specimen"]

@@ -220,6 +220,15 @@ class TestForcesThatAreNotReached:
         assert pressed.force[-1] > 1e-5
 
 
+@pytest.mark.parametrize("use", [
+    ts.Simulator, ts.sensitivities, ts.ForceCurve,
+    lambda model: model.experiment.protocol.resample_at_fractional_samples(np.array([0.5]))],
+    ids=["simulator", "sensitivities", "force curve", "resampling"])
+def test_what_needs_displacements_refuses_a_force(use):
+    with pytest.raises(ts.InputError, match=r"must prescribe displacements for .*; got a prescribed force"):
+        use(model_of("ramp 1N @1N/s"))
+
+
 class SnappingSolver(Solver):
     """Elastic foundation of 100 N/m whose force falls by half at 5 mm."""
 

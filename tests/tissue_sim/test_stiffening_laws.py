@@ -11,7 +11,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.laws.law import MODES
+from tissue_sim.laws.modes import MODES
 from tissue_sim.mesh.solid import Grading
 from tissue_sim.mesh.solid_element import HEX8P0
 

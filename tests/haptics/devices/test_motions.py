@@ -70,6 +70,12 @@ def test_a_closed_protocol_repeats():
         assert caught.value.field == "protocol"
 
 
+def test_a_prescribed_force_is_refused():
+    for make in (ts.Protocol.parse, lambda text: make_motion(f"protocol:{text}")):
+        with pytest.raises(InputError, match="must prescribe displacements for a motion of the haptic loop; got"):
+            ProtocolMotion(make("ramp 1N @1N/s"))
+
+
 def test_a_sine_begins_at_the_upper_depth_at_rest():
     motion = SineMotion(deepest=6e-3, highest=-2e-3, frequency=2.0)
     np.testing.assert_allclose(depths(motion, [0, 0.125, 0.25, 0.5]), [-2e-3, 2e-3, 6e-3, -2e-3], atol=1e-15)

@@ -142,6 +142,7 @@ def test_a_played_protocol_gives_the_curve_of_the_test(session, needle, until):
 @pytest.mark.parametrize(("text", "expected"), [
     ("ramp 9mm", "protocol: must have a depth of at most 4 mm"),
     ("ramp 2", "protocol: column"),
+    ("ramp 1N @1N/s", "protocol: must prescribe displacements for the viewer; got a prescribed force"),
     ("", "protocol"),
 ])
 def test_an_invalid_protocol_is_refused(session, text, expected):
