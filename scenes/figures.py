@@ -69,8 +69,7 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str |
         raise InputError(f"the solver does not compute {field or 'a known field'}; it computes "
                          f"{', '.join(fields.names)}", field="field")
     figure = Figure(layout="constrained")
-    # Displacement against time is drawn below the force curve.
-    curves: Any = [["curve"], ["time"]] if model.experiment.protocol.uses_force_control else "curve"
+    curves = ("curve", "time") if model.experiment.protocol.uses_force_control else ("curve",)
     if isinstance(fields.geometry(), SolidGeometry):
         axes = _draw_solid_panels_and_get_axes(figure, fields, field, sample,
                                                model.experiment.tool_pose(recording.displacement[sample]),
@@ -105,40 +104,45 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str |
 
 
 def _draw_solid_panels_and_get_axes(figure, fields: DrawableFields, field: str, sample: int, pose: Pose,
-                                    tool: Tool, curves: Any) -> dict[str, Any]:
+                                    tool: Tool, curves: tuple[str, ...]) -> dict[str, Any]:
     """Draw section and surface of a three-dimensional simulation.
 
     Returns:
-        Axes by name; the axes of `curves`, the cell of the mosaic with the curves, are still empty.
+        Axes by name; the axes of `curves` are still empty.
     """
     pose = choose_drawn_tool_pose(fields, sample, pose, tool)
     figure.set_size_inches(14.5, 4.8)
-    axes = figure.subplot_mosaic([["cut", "surface", curves]], width_ratios=[1.25, 1.1, 0.85])
+    axes = figure.subplot_mosaic([["cut", "surface", _stack_in_one_column(curves)]], width_ratios=[1.25, 1.1, 0.85])
     draw_section_through_tool_axis(axes["cut"], fields, field, sample, pose, tool)
     draw_deformed_surface(axes["surface"], fields, field, sample, pose, tool)
     return axes
 
 
 def _draw_axisymmetric_panels_and_get_axes(figure, fields: DrawableFields, field: str,
-                                           sample: int, tool: Tool, curves: Any) -> dict[str, Any]:
+                                           sample: int, tool: Tool, curves: tuple[str, ...]) -> dict[str, Any]:
     """Draw the section of an axisymmetric simulation and, for an indentation, the fold at the tool's edge.
 
     Returns:
-        Axes by name; the axes of `curves`, the cell of the mosaic with the curves, are still empty.
+        Axes by name; the axes of `curves` are still empty.
     """
     panels = {"section": 1.25} | ({"fold": 0.75} if not tool.is_plate else {})
     radius, height = np.ptp(fields.geometry().nodes, axis=0)
     if radius > 1.5 * height:
         figure.set_size_inches(10, 6.4)
-        layout: list[Any] = [["section"] * len(panels), [*list(panels)[1:], curves]]
+        layout: list[Any] = [["section"] * (len(panels) - 1 + len(curves)), [*list(panels)[1:], *curves]]
         axes = figure.subplot_mosaic(layout, height_ratios=[1, 1.6])
     else:
         figure.set_size_inches(10 if tool.is_plate else 13, 4.6)
-        axes = figure.subplot_mosaic([[*panels, curves]], width_ratios=[*panels.values(), 1.0])
+        axes = figure.subplot_mosaic([[*panels, _stack_in_one_column(curves)]], width_ratios=[*panels.values(), 1.0])
     draw_section(axes["section"], fields, field, sample, tool=tool)
     if "fold" in axes:
         draw_tool_edge_closeup(axes["fold"], fields, field, tool, sample)
     return axes
+
+
+def _stack_in_one_column(names: tuple[str, ...]) -> Any:
+    """Return the cell of a mosaic with axes one below the other."""
+    return [[name] for name in names] if len(names) > 1 else names[0]
 
 
 def _draw_displacement_against_time(axes, recording: Recording, sample: int) -> None:

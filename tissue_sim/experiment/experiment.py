@@ -100,7 +100,8 @@ class Experiment:
 
     Attributes:
         specimen: geometry, density and gravity.
-        protocol: tool displacement against time, from the first touch of the specimen in equilibrium.
+        protocol: displacement of the tool or force on it against time, from the first touch of the specimen in
+            equilibrium.
         tool: rigid tool that is moved into the specimen.
         friction: interface of the tool's face; see `tissue_sim.experiment.contact_law`. A bonded needle holds the
             tissue under its flat face from the start, and its rounded edge holds the tissue that it meets.
