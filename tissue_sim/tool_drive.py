@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.fem.solver import Solver, Step, StepStatus
 from tissue_sim.fem.stepping import AdaptiveIncrements, iterate_adaptive_steps_to_pose
@@ -238,7 +239,8 @@ class ToolDrive:
     def iterate_goals_durations_and_steps(self) -> Iterator[tuple[str, float, Iterable[Step]]]:
         """Yield the prescribed value in words, the time since the last sample, s, and the steps, for each sample.
 
-        After a change of control that depends on the response, `protocol` grows by the following segments.
+        After a change of control that depends on the response, `protocol` grows by the following segments. If a segment
+        cannot start from the response, the step of the last sample has not converged.
         """
         rig, is_in_air = self._model.rig, True
         while True:
@@ -272,7 +274,11 @@ class ToolDrive:
                 first = end
             if protocol.remaining is None:
                 return
-            self.protocol = protocol.append_remaining_segments(np.array(self.reported), np.array(self._readings))
+            try:
+                self.protocol = protocol.append_remaining_segments(np.array(self.reported), np.array(self._readings))
+            except InputError as error:
+                self.failure = error.problem
+                yield "the next segment", 0.0, [replace(_NOTHING, status=StepStatus.OUTSIDE)]
 
     def make_followed_protocol(self) -> Protocol:
         """Return the displacement-controlled protocol along the displacements that the stage reported so far."""

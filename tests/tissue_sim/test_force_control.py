@@ -152,9 +152,11 @@ class TestAlternatingControl:
         assert segment[out[0]] == "unload" and found.force[-1] == pytest.approx(0.0, abs=1.5e-8)
         np.testing.assert_allclose(driven_along(found, viscoelastic=SERIES), found.force, atol=1e-6 * 1.5)
 
-    def test_a_ramp_to_less_than_the_force_that_acts_is_refused(self):
-        with pytest.raises(ts.InputError, match="column 18: a ramp must increase the force, but the force is 0"):
+    def test_the_recording_ends_before_a_segment_that_cannot_start_from_the_response(self):
+        words = r"next segment \(sample 10\), column 18: a ramp must increase the force, but the force is 0\.5"
+        with pytest.raises(ts.ConvergenceError, match=words) as error:
             simulated("ramp 3mm @1mm/s; ramp 1mN @1N/s")
+        assert len(error.value.recording) == 9 and error.value.recording.displacement[-1] == 3e-3
 
 
 class TestRig:
