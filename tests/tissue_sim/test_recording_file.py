@@ -122,7 +122,8 @@ BAD = {
     "no header": (ROWS, 1, "the header is missing"),
     "prose": (["This is not a table.", *ROWS], 1, "the header of a recording is missing"),
     "open quote": ([HEADER, *ROWS, '6,"3,1', "7,3,1"], 8, "close its quotation mark"),
-    "no load": (["time [s],displacement [mm]", *[row.rpartition(",")[0] for row in ROWS]], None, "force, nominal stress or torque"),
+    "no load": (["time [s],displacement [mm]", *[row.rpartition(",")[0] for row in ROWS]], None,
+                "force, nominal stress or torque"),
     "no motion": (["time [s],force [N]", *[row.rpartition(",")[0] for row in ROWS]], None, "a motion is missing"),
     "cycle": ([HEADER + ",cycle", *[row + ",1.5" for row in ROWS]], 2, "'cycle' holds '1.5', expected a whole number"),
 }

@@ -79,8 +79,8 @@ class _StressState:
         path = (start + (end - start) * np.arange(1, parts + 1) / parts)[:, None]
         material = self._material
         stress, energy = compute_softened_second_piola_stress(
-            self._deformation, material.energy_law, material.values, path, material.instantaneous_over_law_modulus_ratio,
-            material.softening, self._energy)
+            self._deformation, material.energy_law, material.values, path,
+            material.instantaneous_over_law_modulus_ratio, material.softening, self._energy)
         internal = self._internal * np.exp(-dt / self._tau) + compute_internal_stress_history_over_g(
             np.full(parts, dt / parts), stress - self._stress, self._tau)[-1]
         total = (1.0 - self._g.sum()) * stress[-1] + internal @ self._g
@@ -133,7 +133,10 @@ def compute_strain_history(mode: str, material: Material, time, nominal_stress,
 
     Args:
         mode: mode of `StrainHistory`.
-        material, time, nominal_stress, contact_radius: see `stretch_history`.
+        material: see `stretch_history`.
+        time: see `stretch_history`.
+        nominal_stress: see `stretch_history`.
+        contact_radius: see `stretch_history`.
         bulk_modulus: K, Pa, if the volume changes by the stretch; 0: constant volume.
     """
     known = [name for name, each in DEFORMATIONS.items() if each.count == 1]

@@ -17,7 +17,7 @@ from tissue_sim.laws import Law
 from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import Prony, compute_internal_stress_history_over_g
+from tissue_sim.material.viscoelasticity import RelaxationSeries, compute_internal_stress_history_over_g
 
 #: Largest change of log(stretch), or of the shear strain, in a step within which S is linear in time; longer steps are
 #: divided. The error of the force is proportional to its square: 3e-6 of the largest force in a ramp, hold and return
@@ -116,8 +116,8 @@ class StrainHistory:
         _, strain, samples = self._divided_steps_strains_and_samples
         return self.deformation.compute_nominal_stress_weights(strain[samples])
 
-    def nominal_stress(self, law: Law, values, prony: Prony | None = None, softening: Softening | None = None,
-                       factor: float = 1.0) -> np.ndarray:
+    def nominal_stress(self, law: Law, values, prony: RelaxationSeries | None = None,
+                       softening: Softening | None = None, factor: float = 1.0) -> np.ndarray:
         """Compute the nominal stress at the samples, Pa, shape of `strain`.
 
         Args:

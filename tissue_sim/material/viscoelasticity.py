@@ -44,7 +44,6 @@ class PronyTerm:
             raise InputError(f"must be a positive relaxation time; got {self.tau:g} s.", field="tau")
 
 
-@with_old_names(modulus="compute_relative_relaxation_modulus")
 class RelaxationSeries:
     """Relaxation by exponentials: relative relaxation modulus 1 - sum g_i (1 - exp(-t/tau_i)).
 
@@ -55,7 +54,6 @@ class RelaxationSeries:
 
     terms: tuple[PronyTerm, ...]
     moduli: Literal["instantaneous", "long_term"]
-    instantaneous_factor = OldName("instantaneous_over_law_modulus_ratio")
 
     def _require_known_moduli(self) -> None:
         """Raise an error if `moduli` is unknown."""
@@ -71,9 +69,6 @@ class RelaxationSeries:
     def tau(self) -> np.ndarray:
         """Relaxation times, s, shape (terms,)."""
         return np.array([term.tau for term in self.terms])
-
-    relaxing = OldName("relaxing_fraction")
-    increment = OldName("compute_recursion_coefficients")
 
     @property
     def relaxing_fraction(self) -> float:
@@ -108,6 +103,7 @@ class RelaxationSeries:
         return 1.0 - self.relaxing_fraction + gain.sum(axis=-1), decay, gain
 
 
+@with_old_names(modulus="compute_relative_relaxation_modulus")
 @dataclass(frozen=True)
 class Prony(RelaxationSeries):
     """A Prony series with stated terms.
@@ -123,6 +119,10 @@ class Prony(RelaxationSeries):
 
     terms: tuple[PronyTerm, ...]
     moduli: Literal["instantaneous", "long_term"] = "instantaneous"
+    #: Old names.
+    instantaneous_factor = OldName("instantaneous_over_law_modulus_ratio")
+    relaxing = OldName("relaxing_fraction")
+    increment = OldName("compute_recursion_coefficients")
 
     def __post_init__(self):
         object.__setattr__(self, "terms", tuple(self.terms))
