@@ -77,7 +77,7 @@ def test_starts_give_finite_stresses(tmp_path, law):
 
 def test_bounds_that_exclude_the_data_are_refused(tmp_path):
     path = write_campaign(tmp_path, "arruda_boyce", more="[fit.bounds]\nJ_m = [0.1, 0.5]", laws='"gent"')
-    with pytest.raises(ts.InputError, match=r"must include values from 1\.25 to 1e\+06") as raised:
+    with pytest.raises(ts.InputError, match=r"must include values from 1\.25 to inf") as raised:
         build_problem(path, "gent")
     assert raised.value.field == "fit.bounds.J_m"
 

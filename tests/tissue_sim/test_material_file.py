@@ -91,8 +91,9 @@ def materials(draw):
     law = ts.find_law(draw(st.sampled_from(sorted(ts.LAWS))))
     # No subnormal numbers: loading Taichi makes the processor take them for zero.
     small = st.floats(-1e9, 1e9, allow_subnormal=False)
-    parameters = {name: draw(st.floats(1e-3, 1e9) if unit == "Pa" else st.floats(0.1, 20.0) | st.floats(-20.0, -0.1))
-                  for name, unit in law.units.items()}
+    positive = st.floats(0.1, 20.0)
+    parameters = {name: draw(st.floats(1e-3, 1e9) if unit == "Pa" else positive if name in law.parameter_bounds
+                             else positive | st.floats(-20.0, -0.1)) for name, unit in law.units.items()}
     if law.name.startswith("reduced_polynomial"):
         parameters |= {name: draw(small) for name in list(parameters)[1:]}
     kind = draw(st.sampled_from(["K_Pa", "D1_per_Pa", "bulk_ratio", "incompressible"]))

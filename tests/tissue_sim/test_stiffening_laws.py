@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.solver import StepStatus
 from tissue_sim.laws.modes import MODES
 from tissue_sim.mesh.solid import Grading
 from tissue_sim.mesh.solid_element import HEX8P0
@@ -129,7 +128,7 @@ class TestDomain:
     @pytest.mark.parametrize(("name", "parameter", "value"), [
         ("gent", "J_m", -1.0), ("gent", "J_m", 0.0), ("arruda_boyce", "lambda_m", 0.0), ("fung_demiray", "b", -0.1)])
     def test_parameters_outside_their_bounds_are_refused(self, name, parameter, value):
-        with pytest.raises(ts.InputError, match=f"{parameter} must be within"):
+        with pytest.raises(ts.InputError, match=f"parameters.{parameter}: must be within"):
             ts.Material(name, {"mu": 1000.0, parameter: value})
 
 
@@ -183,8 +182,9 @@ class TestFiniteElements:
         options = {"mesh": specimen.solid_mesh(Grading(HEX8P0, 0.01, 1.0, 0.01, 2))} if solver == "solid" else {}
         experiment = ts.KINDS["lubricated_compression"].experiment(
             specimen=specimen, protocol=ts.Protocol.ramp(0.4 * 0.02, 5))
-        material = ts.Material("gent", {"mu": 2800.0, "J_m": 0.5}, ts.Bulk("bulk_ratio", 1e3))
-        with pytest.raises(ts.ConvergenceError, match=StepStatus.INVERTED.message) as raised:
+        material = ts.Material("gent", {"mu": 2800.0, "J_m": 0.5}, ts.Bulk("bulk_ratio", 1e5))
+        words = r"stopped at.*the law alone is uniaxial: unstable below 0\.65"
+        with pytest.raises(ts.ConvergenceError, match=words) as raised:
             ts.simulate(ts.Model(experiment, material), solver=solver, estimate_error=False, fields=True, **options)
         recording = raised.value.recording
         assert np.isfinite(recording.force).all() and compute_invariant(recording.fields).max() < 0.5

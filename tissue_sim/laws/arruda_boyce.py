@@ -1,5 +1,6 @@
 """Arruda and Boyce's eight-chain law, with the first five terms of its series."""
 
+import math
 from collections.abc import Mapping
 
 from tissue_sim.laws.law import InvariantLaw, ParameterRange
@@ -24,7 +25,7 @@ class ArrudaBoyce(InvariantLaw):
     name = "arruda_boyce"
     title = "Arruda-Boyce"
     units = {"mu": "Pa", "lambda_m": "1"}
-    parameter_bounds = {"lambda_m": (0.05, 1e4)}
+    parameter_bounds = {"lambda_m": (0.05, math.inf)}
 
     def energy(self, I1, I2, mu, lambda_m):
         """Return W as an expression of the invariants, the modulus mu (Pa) and the locking stretch lambda_m."""

@@ -1,5 +1,6 @@
 """Gent's law of chains with limited extensibility."""
 
+import math
 from collections.abc import Mapping
 
 from tissue_sim.laws.law import InvariantLaw, ParameterRange
@@ -16,7 +17,7 @@ class Gent(InvariantLaw):
     name = "gent"
     title = "Gent"
     units = {"mu": "Pa", "J_m": "1"}
-    parameter_bounds = {"J_m": (1e-6, 1e6)}
+    parameter_bounds = {"J_m": (1e-6, math.inf)}
 
     def energy(self, I1, I2, mu, J_m):
         """Return W as an expression of the invariants, the shear modulus mu (Pa) and the limit J_m of I1 - 3."""

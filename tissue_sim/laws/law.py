@@ -156,8 +156,8 @@ class Law:
     `list_domain_conditions`). Outside the domain stresses are NaN, and a step of the finite elements is shortened.
 
     Attributes:
-        parameter_bounds: name -> smallest and largest value of a parameter, SI; parameters without an entry may have
-            any value.
+        parameter_bounds: name -> smallest and largest value of a parameter in a material, SI; parameters without an
+            entry may have any value.
     """
 
     name: str
@@ -242,11 +242,18 @@ class Law:
         for name, value in zip(self.parameters, array, strict=True):
             if not np.isfinite(value):
                 raise InputError(f"{name} is {value}, expected a finite number", field=f"parameters.{name}")
-            low, high = self.parameter_bounds.get(name, (-np.inf, np.inf))
-            if not low <= value <= high:
-                raise InputError(f"{name} must be within [{low:g}, {high:g}]; got {value:g}",
-                                 field=f"parameters.{name}")
         return array
+
+    def require_values_within_bounds(self, values: Mapping[str, float]) -> None:
+        """Raise an error if a parameter is outside `parameter_bounds`; values by name, SI.
+
+        Raises:
+            InputError: a value outside its bounds.
+        """
+        for name, (low, high) in self.parameter_bounds.items():
+            if not low <= values[name] <= high:
+                raise InputError(f"must be within [{low:g}, {high:g}]; got {values[name]:g}.",
+                                 field=f"parameters.{name}")
 
     def describe_limiting_cases(self, values) -> list[str]:
         """Return a sentence for each parameter at a limit, where the formula takes another form; none by default."""

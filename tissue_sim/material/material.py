@@ -185,6 +185,7 @@ class Material:
         object.__setattr__(self, "effects", make_shallow_read_only_copy(_index_effects_by_name(self.effects)))
         object.__setattr__(self, "parameters",
                            make_shallow_read_only_copy(self.energy_law.convert_parameters_to_mapping(self.parameters)))
+        self.energy_law.require_values_within_bounds(self.parameters)
         object.__setattr__(self, "layers", tuple(self.layers))
         if not self.mu0 > 0:
             raise InputError(f"must give a positive shear modulus at rest; got {self.mu0:g} Pa.",
