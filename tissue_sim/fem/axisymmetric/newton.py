@@ -2,8 +2,9 @@
 
 Each iteration solves K du = -R for the displacements of the shared nodes; pressures, interior nodes and contact forces
 follow by back substitution. The factorisation of K is reused while the residual decreases fast enough (modified Newton
-method) and is updated where only contact points change. A step that inverts an element is halved. After each linear
-solve the active set of the contact iterates on the linearised elements (`EvaluatedEquations.CONTACT`).
+method) and is updated where only contact points change. A step that inverts an element or leaves the domain of the law
+is halved. After each linear solve the active set of the contact iterates on the linearised elements
+(`EvaluatedEquations.CONTACT`).
 """
 
 from functools import cache

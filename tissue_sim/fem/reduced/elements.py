@@ -115,7 +115,7 @@ class SampledElements:
 
     @property
     def smallest_volume_ratio(self) -> float:
-        """Smallest volume ratio J at the quadrature points in the last evaluation."""
+        """Smallest volume ratio J, or margin of the domain of the law, of the points in the last evaluation."""
         return min(float(region.least[0]) for region in self._regions)
 
     @property

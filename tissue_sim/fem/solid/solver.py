@@ -44,7 +44,8 @@ class SolidNewtonSettings:
     """Settings of Newton's method in `SolidSolver`.
 
     Attributes:
-        max_halvings: largest number of bisections of an increment that turns an element inside out.
+        max_halvings: largest number of bisections of an increment that turns an element inside out or leaves the domain
+            of the law.
         all_points_iterations: number of linear solves after which only a subset of the nodes may change their contact
             state at once, so that the active set does not cycle.
         min_reference_force: smallest reference force of the relative residual, over the largest load so far, 1. A
