@@ -22,7 +22,6 @@ from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.laws import Law, find_law
-from tissue_sim.laws.law import compute_first_invariant
 from tissue_sim.material.material import Material
 from tissue_sim.parameters import split_path_into_names_and_indices
 from tissue_sim.specimen import Specimen
@@ -105,7 +104,7 @@ class ClosedFormTest:
             np.concatenate([curve.displacement for curve in self.measured]))
         if not self.kind.has_gripped_ends:
             abscissa = abscissa[self.kind.convert_abscissa_to_nominal_strain(abscissa) >= 0.0]
-        return float((compute_first_invariant(abscissa, self.closed_form.law_mode) - 3.0).max(initial=0.0))
+        return float((self.closed_form.compute_first_invariant(abscissa) - 3.0).max(initial=0.0))
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> list[ClosedFormParameters]:
         """Return the parameter values of each recording for `evaluate_force_and_derivatives`; computes no force yet."""

@@ -36,7 +36,6 @@ from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
-from tissue_sim.laws.law import compute_first_invariant
 from tissue_sim.model import Model
 from tissue_sim.parameters import with_values
 from tissue_sim.rig.rig import Rig
@@ -87,7 +86,7 @@ class SimulatedTest(SimulatedMotions):
         if self.rig != Rig() or not self.is_homogeneous:
             return None
         stretch = 1.0 - self._largest_displacement / self.specimen.height
-        return float(compute_first_invariant(stretch, self.closed_form.law_mode) - 3.0)
+        return float(self.closed_form.compute_first_invariant(stretch) - 3.0)
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> SimulatedTestForceCurves:
         """Simulate force curves and derivatives for each recording, with the mesh correction; see `ForwardTest.solve`.

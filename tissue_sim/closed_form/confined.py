@@ -67,6 +67,10 @@ class ConfinedForm(ClosedForm):
                              "another bulk response", field="bulk")
         return material.bulk_modulus
 
+    def compute_first_invariant(self, abscissa: Any) -> Any:
+        """Return the isochoric invariant I1 = l^(4/3) + 2 l^(-2/3), shape of `abscissa`."""
+        return abscissa**(4.0 / 3.0) + 2.0 * abscissa**(-2.0 / 3.0)
+
     def find_extreme_stretches(self, low: float, high: float) -> tuple[float, float]:
         """Return the smallest and largest isochoric principal stretch, l^(2/3) and l^(-1/3); see the base class."""
         every = [stretch**power for stretch in (low, high, 1.0) for power in (2.0 / 3.0, -1.0 / 3.0)]

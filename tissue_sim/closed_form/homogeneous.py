@@ -104,6 +104,12 @@ class ClosedForm:
 
         return compute_strain_history(self.law_mode, material, time, nominal_stress, contact_radius)
 
+    def compute_first_invariant(self, abscissa: Any) -> Any:
+        """Return the isochoric invariant I1, shape of `abscissa`."""
+        from tissue_sim.laws.law import compute_first_invariant
+
+        return compute_first_invariant(abscissa, self.law_mode)
+
     def find_extreme_stretches(self, low: float, high: float) -> tuple[float, float]:
         """Return the smallest and largest principal stretch between two abscissas and the undeformed state."""
         if self.rest == 0.0:
