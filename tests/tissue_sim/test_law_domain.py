@@ -1,4 +1,4 @@
-"""Domain of a law from its formula: logarithms, fractional powers, denominators, and overflow in the finite elements."""
+"""Domain of a law from its formula: logarithms, fractional powers, denominators; overflow in the finite elements."""
 
 import numpy as np
 import pytest
