@@ -29,13 +29,9 @@ import tissue_sim as ts
 from benchmarks import ROOT
 from benchmarks.measure import about, option_parser, show, table, verdict
 from calibration import calibrate
-from tissue_sim.closed_form.homogeneous import PLANAR, ClosedForm
-from tissue_sim.experiment.kinds.kind import DISPLACEMENT_FORCE, STRETCH_STRESS, TestKind
 
 #: Test -> kind of test.
 KINDS = {"uniaxial": "uniaxial_tension", "planar": "planar_tension", "equibiaxial": "equibiaxial_tension"}
-#: Closed forms of the kinds that this program may not have.
-FORMS = {"planar_tension": PLANAR, "equibiaxial_tension": ClosedForm("equibiaxial", "equibiaxial", lateral=2.0)}
 #: Largest sum of squares over that of the reference fit, 1.
 MAX_SUM_RATIO = 1.0001
 #: Largest relative difference of a parameter of a law with one minimum from that of the reference fit, 1.
@@ -109,13 +105,9 @@ def fit_laws(laws: Sequence[str], tests: dict[str, np.ndarray], folder: Path) ->
     """
     lines = []
     for name, points in tests.items():
-        kind = KINDS[name]
-        if kind not in ts.KINDS:
-            ts.KINDS.register(TestKind(name=kind, title=kind.replace("_", " ").capitalize(), tool=None, sign=1.0,
-                                       channels=(DISPLACEMENT_FORCE, STRETCH_STRESS), closed_form=FORMS[kind]))
         ts.write_recording(ts.Recording({"stretch": points[:, 0], "nominal stress": points[:, 1]}),
                            folder / f"{name}.csv")
-        lines += ["[[test]]", f'name = "{name}"', f'kind = "{kind}"', f'recordings = ["{name}.csv"]', ""]
+        lines += ["[[test]]", f'name = "{name}"', f'kind = "{KINDS[name]}"', f'recordings = ["{name}.csv"]', ""]
     lines += ["[fit]", f"laws = {json.dumps(list(laws))}"]
     (folder / "study.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
     result, = calibrate([folder / "study.toml"], folder / "out", figures=False)
