@@ -99,6 +99,14 @@ def test_biaxial_derivatives_are_those_of_the_stresses(name):
         np.testing.assert_allclose(derivatives[..., i], numeric, rtol=1e-6, atol=1e-6 * (1 + abs(numeric).max()))
 
 
+def test_biaxial_stresses_of_the_neo_hookean_law():
+    """P_i = 2 C10 (l_i - l_3^2/l_i)."""
+    stretches = np.array([[1.3, 0.9], [2.0, 1.5], [1.0, 1.0]])
+    third = 1.0 / stretches.prod(axis=1, keepdims=True)
+    np.testing.assert_allclose(ts.find_law("neo_hooke").nominal_stress(stretches, {"C10": 2e5}, "biaxial"),
+                               4e5 * (stretches - third**2 / stretches), rtol=1e-12, atol=1e-8)
+
+
 def test_biaxial_needs_two_stretches():
     with pytest.raises(ts.InputError, match="must have 2 values at each point; got 3"):
         ts.find_law("neo_hooke").nominal_stress([1.0, 1.1, 1.2], [1000.0], "biaxial")
