@@ -40,8 +40,8 @@ class Model:
 
     def __post_init__(self):
         if self.experiment.has_lateral_wall and math.isinf(self.material.bulk_modulus):
-            raise InputError("must be finite between lateral walls, where an incompressible specimen has no space. "
-                             "State bulk.K_Pa or another bulk response", field="bulk")
+            raise InputError("must be finite between lateral walls; got an incompressible material. State bulk.K_Pa or "
+                             "another bulk response", field="bulk")
 
     @property
     def is_path_dependent(self) -> bool:

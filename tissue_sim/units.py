@@ -36,7 +36,8 @@ UNITS: dict[str, tuple[str, float, float]] = {
     "degC": ("temperature", 1.0, 273.15), "K": ("temperature", 1.0, 0.0),
 }
 #: Other spelling -> name in `UNITS`.
-_SPELLINGS = {"µm": "um", "μm": "um", "µN": "uN", "μN": "uN", "°C": "degC", "sec": "s", "N.mm": "Nmm", "N·mm": "Nmm",
+_SPELLINGS = {"µm": "um", "μm": "um", "µN": "uN", "μN": "uN", "°C": "degC", "sec": "s", "N.mm": "Nmm", "N mm": "Nmm",
+              "N m": "Nm", "mN m": "mNm", "mN·m": "mNm", "N·mm": "Nmm",
               "°": "deg", "degree": "deg", "degrees": "deg", "Grad": "deg", "radian": "rad", "radians": "rad",
               "turns": "rev", "N·m": "Nm", "N.m": "Nm", "µN.m": "uNm", "µNm": "uNm",
               "N/mm²": "N/mm^2", "N/cm²": "N/cm2", "N/m²": "N/m2", "kgf/cm²": "kgf/cm2",

@@ -42,13 +42,13 @@ from tissue_sim.pose import Pose
 
 #: Folder of the stored curves.
 FOLDER = Path(__file__).with_name("reference")
-#: Number of load steps of ours between two positions.
+#: Number of load steps of tissue_sim between two positions.
 SUBSTEPS = 2
-#: Largest penetration of a node in ours, m.
+#: Largest penetration of a node in tissue_sim, m.
 PENETRATION = 1e-6
 #: Longest time of a position in CalculiX, s.
 MAX_SECONDS = 900.0
-#: Elements: name on the command line -> element. CalculiX gets C3D8I for the former and C3D20R for the latter.
+#: Elements: name on the command line -> element. CalculiX gets C3D8I for `linear` and C3D20R for `quadratic`.
 ELEMENTS = {"linear": HEX8P0, "quadratic": HEX27P1}
 
 

@@ -40,6 +40,7 @@ MAX_DIFFERENCE = 0.01
 MAX_REPORTED_RATIO = 1.5
 #: Relative difference of the parameters of two minima from which on they are different, 1.
 SAME_MINIMUM = 0.01
+#: Pa in 1 MPa.
 MPA = 1e6
 
 

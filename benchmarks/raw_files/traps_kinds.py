@@ -1,4 +1,4 @@
-"""Traps in the kind of test: files of tests that calibration has no closed form for, with their own mechanics."""
+"""Traps in the kind of test: less usual kinds and tests without a kind, with their own mechanics."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ class _OtherTest:
         titles: that name it. reasons: words of a refusal that is to the point. base: kind whose layout is used.
         force: test -> force, N, at its displacements. keeps_modulus: whether its modulus is that of `Test.mu`.
         sizes: test -> rows of sizes, mm. stress: whether it may be written as stress over stretch.
+        wants_right: whether each title names a kind of the program, so that a modulus is wanted.
     """
 
     titles: tuple[str, ...]
@@ -31,6 +32,7 @@ class _OtherTest:
     keeps_modulus: bool
     sizes: Callable[[Test], list[list[str]]]
     stress: bool = False
+    wants_right: bool = False
 
 
 def _strip_sizes(test: Test) -> list[list[str]]:
@@ -73,7 +75,8 @@ _OTHER_TESTS = {
         ("Planar tension test", "Planar tension", "Pure shear test", "Pure shear (planar tension)",
          "Planarer Zugversuch", "Constrained tension"),
         ("planar", "pure shear", "constrained", "no such kind"), TENSION,
-        lambda test: test.specimen.area(TENSION) * planar_stress(test.mu, test.stretch), True, _strip_sizes, True),
+        lambda test: test.specimen.area(TENSION) * planar_stress(test.mu, test.stretch), True, _strip_sizes, True,
+        True),
     "equibiaxial tension": _OtherTest(
         ("Equibiaxial tension", "Biaxial tensile test", "Equi-biaxial extension test", "Biaxialer Zugversuch",
          "Bulge inflation and biaxial tension"),
@@ -157,9 +160,9 @@ def _moduli_table(draft: Draft, rng: np.random.Generator) -> None:
 #: A file whose title names no kind of the program leaves the kind open.
 _OPEN = "the kind of test"
 KIND_TRAPS = (
-    *(Trap(name, "meaning", _GROUPS, (*other.reasons, _OPEN), False, on_test=_on_test(other), on_draft=_on_draft(other),
-           kinds=(other.base,), layouts=PLAIN) for name, other in _OTHER_TESTS.items()),
-    Trap("torsion", "meaning", _GROUPS | {"numbers"}, ("torsion", "torque", "angle", "no such kind"), False,
+    *(Trap(name, "meaning", _GROUPS, (*other.reasons, _OPEN), other.wants_right, on_test=_on_test(other),
+           on_draft=_on_draft(other), kinds=(other.base,), layouts=PLAIN) for name, other in _OTHER_TESTS.items()),
+    Trap("torsion", "meaning", _GROUPS | {"numbers"}, ("torsion", "torque", "angle", "no such kind"), True,
          on_draft=_torsion, kinds=(COMPRESSION,), layouts=("table",)),
     Trap("sweep of frequency or amplitude", "meaning", _GROUPS | {"numbers", "defect", "air"},
          ("sweep", "frequency", "amplitude", "oscillat", "moduli"), False, on_draft=_moduli_table,

@@ -196,8 +196,8 @@ def check_bulk_of_confined_tests(table: FitTable, named: Mapping[str, ScopedCamp
     if not confined:
         return
     if table.bulk_ratio is None and not bulk:
-        raise InputError(f"must be given for {confined[0]}, whose force depends on the bulk modulus. State bulk_ratio, "
-                         "or bulk.K_Pa in [fit.start] and a test with free sides", field="fit.bulk_ratio")
+        raise InputError(f"must be given for {confined[0]}, whose force depends on the bulk modulus; got none. State "
+                         "bulk_ratio, or bulk.K_Pa in [fit.start] and a test with free sides", field="fit.bulk_ratio")
     incompressible = [kind.name for kind in kinds if not kind.has_lateral_wall]
     if table.method == "analytical" and incompressible and any(name in table.start for name in bulk):
         raise InputError(f"must be 'inverse_fem' to fit {bulk[0]}: the closed form of {incompressible[0]} assumes an "

@@ -151,7 +151,7 @@ def describe_aggregate_modulus(campaign: Campaign, fit: Fit) -> Iterator[str]:
         return
     alone = all(test.kind.has_lateral_wall for test in campaign.tests)
     yield (f"Aggregate modulus K + 4/3 mu0: {1e-3 * modulus:.4g} kPa." + (
-        " Confined compression determines this sum; mu0 follows from the stated K / mu0." if alone else ""))
+        " Confined compression determines this sum; mu0 follows from the stated bulk response." if alone else ""))
 
 
 def _make_self_weight_sentence_and_sag_mm(specimen: Specimen, fit: Fit, campaign: Campaign, *,

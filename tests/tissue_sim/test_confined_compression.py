@@ -41,21 +41,23 @@ def test_aggregate_modulus_at_small_strain(law):
     assert slope == pytest.approx(material.bulk_modulus + 4 / 3 * material.mu0, rel=1e-5)
 
 
-@pytest.mark.parametrize("ratio", [2.0, 50.0, 1e4])
+@pytest.mark.parametrize("points", [4, 21])
+@pytest.mark.parametrize("ratio", [2.0, 50.0, 1e3, 1e4])
 @pytest.mark.parametrize("law", LAWS)
-def test_axisymmetric_elements(law, ratio):
+def test_axisymmetric_elements(law, ratio, points):
+    """At K/mu0 = 1e4 the pressure is 2000 mu0; plates in frictionless contact would lose the tissue."""
     material = make_material(law, ratio)
-    recording = simulate(material, ts.Protocol.ramp(0.2 * SIZE, 4))
+    recording = simulate(material, ts.Protocol.ramp(0.2 * SIZE, points))
     np.testing.assert_allclose(recording.force / (np.pi * SIZE**2), compute_stress(material, recording), rtol=1e-8,
                                atol=1e-6)
 
 
 def test_solid_elements():
-    """A block has no faceting error; the allowed penetration of the plates changes the force by 1e-7."""
+    """A block has no faceting error."""
     material = make_material("reduced_polynomial_2")
     experiment = KIND.experiment(specimen=ts.Block(SIZE, SIZE, SIZE), protocol=ts.Protocol.ramp(0.2 * SIZE, 3))
     recording = ts.simulate(ts.Model(experiment, material), solver="solid")
-    np.testing.assert_allclose(recording.force / SIZE**2, compute_stress(material, recording), rtol=2e-7, atol=1e-6)
+    np.testing.assert_allclose(recording.force / SIZE**2, compute_stress(material, recording), rtol=1e-8, atol=1e-6)
 
 
 def test_relaxation_agrees_with_elements():
@@ -74,11 +76,24 @@ def test_incompressible_material_is_refused():
         CONFINED.stress_history(material, [0.0], np.array([0.9]), SIZE)
     with pytest.raises(ts.InputError, match=r"bulk: must be finite between lateral walls"):
         simulate(material, ts.Protocol.ramp(1e-3, 3))
-    with pytest.raises(ts.InputError, match="must be a material with a finite bulk modulus"):
+    with pytest.raises(ts.InputError, match="must be a material with a bulk modulus in confined compression"):
         CONFINED.stress(ts.find_law("neo_hooke"), np.array([0.9]), [1000.0])
 
 
-def test_walls_need_plates():
+def test_self_weight_compresses_the_specimen_before_the_test():
+    """In uniaxial strain the specimen sags by about rho g H^2 / (2 (K + 4/3 mu0)), and is a little stiffer."""
+    material = make_material("neo_hooke", 5.0, density=1000.0)
+    experiment = KIND.experiment(specimen=ts.Specimen(SIZE, SIZE, density=1000.0, gravity=9.81),
+                                 protocol=ts.Protocol.ramp(0.1 * SIZE, 4))
+    force = ts.simulate(ts.Model(experiment, material)).force / (np.pi * SIZE**2)
+    recording = simulate(material, ts.Protocol.ramp(0.1 * SIZE, 4))
+    stress = compute_stress(material, recording)
+    assert (force[1:] / stress[1:] > 1.0).all() and (force[1:] / stress[1:] < 1.02).all()
+
+
+def test_walls_need_bonded_plates():
+    with pytest.raises(ts.InputError, match="friction: must be 'bonded' on both faces between lateral walls"):
+        KIND.experiment(specimen=ts.Specimen(SIZE, SIZE), protocol=ts.Protocol.ramp(1e-3), friction="frictionless")
     with pytest.raises(ts.InputError, match="has_lateral_wall: requires a plate"):
         ts.Experiment(ts.Specimen(SIZE, SIZE), ts.Protocol.ramp(1e-3), ts.Tool("flat", radius=2e-3),
                       has_lateral_wall=True)

@@ -81,7 +81,8 @@ def test_two_words_in_the_file_overrule_its_name(tmp_path):
 
 def test_rows_of_different_tests_are_refused(tmp_path):
     path = tmp_path / "a.csv"
-    rows = [f"{label},{1 + 0.1 * i:.2f},{i}" for label in ("uniaxial", "bending") for i in range(9)]
-    path.write_text("test,stretch,stress (kPa)\n" + "\n".join(rows), encoding="utf-8")
-    with pytest.raises(ts.InputError, match=r"rows are of different tests \(uniaxial, bending in column 'test'\)"):
-        interpret_file(path)
+    for other in ("bending", "planar"):
+        rows = [f"{label},{1 + 0.1 * i:.2f},{i}" for label in ("uniaxial", other) for i in range(9)]
+        path.write_text("test,stretch,stress (kPa)\n" + "\n".join(rows), encoding="utf-8")
+        with pytest.raises(ts.InputError, match=rf"rows are of different tests \(uniaxial, {other} in column 'test'\)"):
+            interpret_file(path)

@@ -41,6 +41,10 @@ def test_its_experiment(name):
         return
     experiment = kind.experiment(**setting)
     assert experiment.tool == kind.tool and kind.allows_tool(experiment.tool)
+    if kind.has_lateral_wall:
+        with pytest.raises(ts.InputError, match="must be 'bonded' on both faces"):
+            kind.experiment(**setting, friction="stick")
+        return
     assert kind.experiment(**setting, friction="stick").friction == "stick"
 
 

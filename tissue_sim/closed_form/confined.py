@@ -28,8 +28,8 @@ class ConfinedForm(ClosedForm):
 
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Raise an `InputError`, because the law alone does not determine the stress; see `stress_history`."""
-        raise InputError("must be a material with a finite bulk modulus: confined compression changes the volume. Use "
-                         "stress_history", field="material")
+        raise InputError("must be a material with a bulk modulus in confined compression; got a law only. Call "
+                         "stress_history with the material", field="material")
 
     slope = stress
     stress_parameter_derivatives = stress
@@ -63,8 +63,8 @@ class ConfinedForm(ClosedForm):
     def _require_bulk_modulus(material: Material) -> float:
         """Return the bulk modulus, Pa; raise an `InputError` if it is infinite."""
         if math.isinf(material.bulk_modulus):
-            raise InputError("must be finite in confined compression, which changes the volume. State bulk.K_Pa or "
-                             "another bulk response", field="bulk")
+            raise InputError("must be finite in confined compression, which changes the volume; got an incompressible "
+                             "material. State bulk.K_Pa or another bulk response", field="bulk")
         return material.bulk_modulus
 
     def compute_first_invariant(self, abscissa: Any) -> Any:

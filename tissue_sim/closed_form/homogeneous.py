@@ -61,9 +61,18 @@ class ClosedForm:
 
     def convert_motion_and_load(self, specimen: Specimen, motion: np.ndarray,
                                 load: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return strain and nominal stress of other channels than displacement and force, both positive under load.
+        """Convert channels other than displacement and force to strain and nominal stress, positive under load.
 
-        None: the kind has no other channels; the strain is displacement over height, the stress force over area.
+        Args:
+            specimen: specimen of the test.
+            motion: motion of the machine, such as an angle, rad, shape (n,).
+            load: load, such as a torque, N m, shape (n,).
+
+        Returns:
+            Strain, 1, and stress, Pa, shapes (n,); None: the kind has displacement and force.
+
+        Raises:
+            InputError: the conversion does not hold for the specimen.
         """
         return None
 

@@ -76,8 +76,7 @@ class TorsionForm(ClosedForm):
     def strain_history(self, material: Material, time: np.ndarray, nominal_stress: np.ndarray,
                        contact_radius: float) -> np.ndarray:
         """Raise an `InputError`: creep under a torque is not implemented, because the strain varies with the radius."""
-        raise InputError("must prescribe an angle in torsion; a prescribed torque has no closed form here. Prescribe "
-                         "the angle", field="protocol")
+        raise InputError("must prescribe an angle in torsion; got a torque. Prescribe the angle", field="protocol")
 
     def convert_motion_and_load(self, specimen: Specimen, motion: np.ndarray,
                                 load: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -115,7 +115,7 @@ class Experiment:
             plates, and to the face of a needle. None if the tool's face is not bonded.
         contact_laws: additional laws by name; see `tissue_sim.experiment.contact_law`. A sequence of laws is accepted.
         approach: offset and angle of the tool; None: on the axis. Only three-dimensional solvers accept another one.
-        has_lateral_wall: whether rigid walls without friction hold the side of the specimen between two plates.
+        has_lateral_wall: whether rigid walls without friction hold the side of the specimen between two bonded plates.
 
     Raises:
         InputError: an interface that does not fit, a protocol deeper than the specimen, a needle as wide as the
@@ -178,6 +178,9 @@ class Experiment:
         if not self.tool.has_shaft and self.friction_wall != "frictionless":
             raise InputError(f"requires a tool with a shaft; got a {self.tool.shape}. Leave friction_wall out",
                              field="friction_wall")
+        if self.has_lateral_wall and not self.friction == self.resolved_base_interface == "bonded":
+            raise InputError("must be 'bonded' on both faces between lateral walls, where tissue does not slide; got "
+                             f"{self.friction!r} and {self.friction_base!r}. Use 'bonded'", field="friction")
         if self.has_lateral_wall and not (self.tool.is_plate and self.specimen.is_prism):
             raise InputError("requires a plate and a specimen of constant cross-section; got a "
                              f"{self.tool.shape} on {self.specimen.in_words}. Leave the wall out",
@@ -276,8 +279,9 @@ class Experiment:
     @property
     def has_homogeneous_deformation(self) -> bool:
         """Whether a specimen of one material deforms homogeneously, so that closed forms are valid."""
-        return (self.tool.is_plate and self.friction == self.resolved_base_interface == "frictionless"
-                and self.specimen.is_prism and not self.specimen.specific_weight and not self.contact_laws)
+        slides = self.friction == self.resolved_base_interface == "frictionless"
+        return (self.tool.is_plate and (slides or self.has_lateral_wall) and self.specimen.is_prism
+                and not self.specimen.specific_weight and not self.contact_laws)
 
 
 def _describe_type_and_length(value: object) -> str:

@@ -188,7 +188,7 @@ class AbaqusTarget(ExportTarget):
         remarks = [] if relaxation is None else [f"{section.name}: {_RELAXATION_REMARK}"]
         if law.name == "arruda_boyce":
             remarks.append(f"{section.name}: {_ARRUDA_BOYCE_REMARK}")
-        # Of Arruda and Boyce's law CalculiX takes mu for the shear modulus at rest.
+        # CalculiX uses mu of the Arruda-Boyce law as its initial shear modulus.
         used = self.replace_absent_volumetric_values(D, values["mu"] if law.name == "arruda_boyce"
                                                      else law.mu0(values))
         soft = self._read_softening(blocks["MULLINS EFFECT"], units) if "MULLINS EFFECT" in blocks else None
@@ -212,7 +212,7 @@ class AbaqusTarget(ExportTarget):
 
         Args:
             D: numbers of the file.
-            mu0: shear modulus of the law at rest, for which the program takes it, in the units of the file.
+            mu0: value that the program uses as the initial shear modulus, in the units of the file.
         """
         return D
 

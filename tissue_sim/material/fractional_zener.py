@@ -78,7 +78,7 @@ def evaluate_mittag_leffler(alpha: float, x) -> np.ndarray:
 
     Args:
         alpha: order, above 0, at most 1.
-        x: negative argument, any shape.
+        x: argument with its sign reversed, 0 or more, 1, any shape.
 
     Raises:
         InputError: alpha is not above 0 and at most 1, or an x is negative or not finite.
@@ -114,11 +114,12 @@ class FractionalZener:
     """Fractional Zener model (fractional standard linear solid) with the window in which it is represented.
 
     Attributes:
-        alpha: order of the fractional derivative, above 0, at most 1; 1 is the standard linear solid.
+        alpha: order of the fractional derivative, 0.01 to 1; 1 is the standard linear solid.
         g: fraction of the instantaneous modulus that relaxes, above 0 and below 1.
         tau: relaxation time, s.
-        shortest: begin of the time window, s. Before it, the series relaxes from G(0) to G(shortest).
-        longest: end of the time window, s. After it, the series relaxes to (1 - g) G(0) within 100 window lengths.
+        shortest: start of the time window, s. Before it, the series relaxes from G(0) to G(shortest).
+        longest: end of the time window, s. After it, the series relaxes to (1 - g) G(0); its longest relaxation time is
+            63 times `longest`.
         term_count: number of terms of the series; a smaller number makes a simulation faster.
 
     Raises:

@@ -127,7 +127,8 @@ class Prony(RelaxationSeries):
     def __post_init__(self):
         object.__setattr__(self, "terms", tuple(self.terms))
         if not 1 <= len(self.terms) <= MOST_TERMS:
-            raise InputError(f"must have 1 to {MOST_TERMS} terms; got {len(self.terms)}. Leave viscoelasticity out",
+            raise InputError(f"must have 1 to {MOST_TERMS} terms; got {len(self.terms)}. Use fewer terms, or leave "
+                             "viscoelasticity out",
                              field="terms")
         if not self.relaxing_fraction < 1:
             raise InputError(f"the sum of all g must be below 1, or no stress remains under constant strain; got "

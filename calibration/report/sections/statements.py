@@ -281,12 +281,14 @@ def _list_calibration_assumptions(result: CalibrationResult, units: ReportUnits)
 def _list_analytical_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]:
     """Return the assumptions of a fit with closed forms, one sentence each."""
     fit, noise = result.campaign.fit, result.campaign.noise
-    volume = "incompressible"
-    if any(test.kind.has_lateral_wall for test in result.campaign.tests):
-        volume = "compressible in confined compression"
-    lines = [f"The material is {volume}; its viscoelastic parameters are fitted to ramps, holds and unloading."]
+    confined = [test.kind.has_lateral_wall for test in result.campaign.tests]
+    volume = ("compressible" if all(confined) else
+              "compressible in confined compression and incompressible in the other tests" if any(confined) else
+              "incompressible")
+    lines = [f"The material is {volume}. Its viscoelastic parameters are fitted to ramps, holds and unloading."]
     if all(path.startswith("bulk.") for path in fit.stated_non_law_parameter_paths):
-        lines = [f"The material is {volume} and elastic: only the loading is fitted, and the speed has no influence."]
+        lines = [f"The material is {volume}. It is elastic: only the loading is fitted, and the speed has no "
+                 "influence."]
     if any(test.kind.has_closed_form_with_weight for test in result.campaign.tests):
         lines.append("Lubricated means frictionless: the faces slide freely and every slice deforms homogeneously.")
     if fit.offset == "none":

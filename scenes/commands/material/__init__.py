@@ -40,7 +40,7 @@ def _add_new_material_flags(new: InputErrorArgumentParser) -> None:
     bulk.add_argument("--incompressible", action="store_true", help="incompressible material (default)")
     new.add_argument("--prony", action="append", default=[], metavar="G,TAU_S",
                      help="term of a Prony series: fraction of the instantaneous modulus that relaxes, and relaxation "
-                     "time in s; once for each of 1 to 4 terms")
+                     "time in s; once for each of 1 to 13 terms")
     new.add_argument("--moduli", choices=("instantaneous", "long_term"), default="instantaneous",
                      help="whether the parameters of a law with --prony are instantaneous or long-term moduli "
                      "(default: %(default)s)")

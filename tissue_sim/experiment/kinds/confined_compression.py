@@ -7,12 +7,13 @@ from tissue_sim.closed_form.confined import CONFINED
 from tissue_sim.experiment.kinds.kind import DISPLACEMENT_FORCE, STRETCH_STRESS, FaceInterface, TestKind
 from tissue_sim.experiment.tools.shapes import Plate
 
-_SMOOTH = FaceInterface("frictionless", fixed=True)
+#: Tissue does not slide on the platens, because the wall prevents its lateral motion. Bonded platens never lift off.
+_HELD = FaceInterface("bonded", fixed=True)
 
-#: Wall and platens without friction; the fluid of a porous specimen leaves through the platen.
+#: The fluid of a porous specimen leaves through the platen.
 CONFINED_COMPRESSION = TestKind(
-    name="confined_compression", title="Confined compression", tool=Plate(), has_lateral_wall=True, face=_SMOOTH,
-    base=_SMOOTH, sign=-1.0, channels=(DISPLACEMENT_FORCE, STRETCH_STRESS), closed_form=CONFINED, title_words=(
+    name="confined_compression", title="Confined compression", tool=Plate(), has_lateral_wall=True, face=_HELD,
+    base=_HELD, sign=-1.0, channels=(DISPLACEMENT_FORCE, STRETCH_STRESS), closed_form=CONFINED, title_words=(
         r"confined( compress\w*)?", r"confining", r"confinement", r"porous (platens?|plates?|filters?)",
         r"(radially |laterally )?(confined|constrained|restrained) compress\w*", r"compress\w* confinee?",
         r"confinee?", r"o?edomet\w*", r"laterally (confined|constrained|restrained)", r"uniaxial strain",

@@ -54,7 +54,7 @@ class SizeNames:
     Attributes:
         height: names of the size along the load, the first in messages; a file that states several is read in this
             order.
-        second: names of the size that with the width makes a rectangular cross-section.
+        second: names of the second side of a rectangular cross-section; the first side is the width.
         is_round: whether the cross-section must be a circle although the specimen is gripped.
     """
 
@@ -83,9 +83,11 @@ class TestKind:
         title_words: regular expressions of words by which titles and headers of files name the test, in addition to
             `name` and `title`: lower case, without accents, words separated by one blank. Of overlapping words the
             longest counts; see `tissue_sim.recording.formats.kind_words`.
+        is_default_of_direction: whether one word for the direction of loading, such as compression, names the kind
+            unless the same text names another kind.
         file_words: abbreviations that are recognised only in the name of a file.
-        sole_words: words that are recognised only as the complete text, such as the name of a sheet, with or without a
-            number, or in an entry for the test method that names no other test.
+        sole_words: words that are recognised only if they are the complete text (a number may follow), such as the name
+            of a sheet, or if an entry for the test method contains no other test word.
 
     Raises:
         InputError: neither a tool nor a closed form, or a control other than the old value ``"displacement"``.
@@ -106,6 +108,7 @@ class TestKind:
     closed_form: ClosedForm | None = None
     size_names: SizeNames = SizeNames()
     title_words: tuple[str, ...] = ()
+    is_default_of_direction: bool = False
     file_words: tuple[str, ...] = ()
     sole_words: tuple[str, ...] = ()
     control: InitVar[str | None] = None

@@ -14,11 +14,13 @@ from tissue_sim.experiment.tools.shapes import Flat, Plate
 
 TENSION = TestKind(name="uniaxial_tension", title="Uniaxial tension", tool=None, sign=1.0,
                    channels=(DISPLACEMENT_FORCE, STRETCH_STRESS), closed_form=UNIAXIAL,
+                   is_default_of_direction=True,
                    size_names=SizeNames(("gauge length", "length", "height"), ("thickness",)), title_words=(
                        r"(uniaxial )?(tensile|tension)", r"(ein ?achs\w* )?zug(?!scher)\w*", r"pull", r"stretching",
                        r"traction( (uniaxiale|simple))?", r"elongation"), file_words=("ut",))
 SHEAR = TestKind(name="simple_shear", title="Simple shear", tool=None, sign=1.0,
                  channels=(DISPLACEMENT_FORCE, SHEAR_STRESS), closed_form=SIMPLE_SHEAR,
+                 is_default_of_direction=True,
                  size_names=SizeNames(("thickness", "height", "length", "gap"), ("length",)), title_words=(
                      r"(simple )?shear", r"(einfach\w* )?scher(ung|versuch|prufung|pruefung|test)?",
                      r"(einfach\w* )?schub(versuch|prufung|pruefung)", r"cisaillement( simple)?"), file_words=("ss",))
@@ -36,7 +38,7 @@ _DRY = FaceInterface(0.7, stated=True)
 
 LUBRICATED = TestKind(name="lubricated_compression", title="Lubricated compression", tool=Plate(), face=_SMOOTH,
                       base=_SMOOTH, sign=-1.0, channels=(DISPLACEMENT_FORCE, STRETCH_STRESS),
-                      closed_form=UNIAXIAL, title_words=(
+                      closed_form=UNIAXIAL, is_default_of_direction=True, title_words=(
                           r"(unconfined |uniaxial )?compress\w*", r"kompress(?!ionsmodul)\w*", r"druck(?!scher)\w*",
                           r"(ein ?achs\w* )?stauch\w*", r"unconfined", r"(un|non|not) confinee?( compress\w*)?",
                           r"(un|non|not) confined( compress\w*)?", r"compress\w* non confinee?", r"ecrasement"),

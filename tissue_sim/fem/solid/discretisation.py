@@ -396,8 +396,6 @@ def _choose_rigid_motion_pins(experiment: Experiment, mesh: SolidMesh) -> list[t
     Raises:
         InputError: the tool or the middle node is off the axis, so that the pins would carry a lateral force.
     """
-    if experiment.has_lateral_wall:
-        return []
     faces = experiment.resolved_base_interface, experiment.friction
     without, rubbed = (all(loose(face) for face in faces) for loose in (_is_frictionless, _may_slip))
     if not (without or (rubbed and experiment.tool.is_plate)):

@@ -192,7 +192,7 @@ def collect_label_hints(numbers: NumberTable) -> list[KindHint]:
     """Return the texts in the label columns of a table as hints for the kind of test.
 
     Raises:
-        InputError: the rows are of different tests, one of which has no registered kind.
+        InputError: the rows are of different tests. Words for directions of loading alone may name phases of one test.
     """
     hints = []
     width = max(len(row.cells) for row in numbers.rows)
@@ -203,8 +203,9 @@ def collect_label_hints(numbers: NumberTable) -> list[KindHint]:
             continue
         where = f"in column {numbers.get_column_header(place) or place + 1!r}"
         named = [find_named_tests([KindHint(label, where)]) for label in labels]
-        unknown = {each.unknown.name for tests in named for each in tests if each.unknown is not None}
-        if unknown and len({tuple((each.kind, each.unknown) for each in tests) for tests in named}) > 1:
+        specific = any(each.kind is None or not KINDS[each.kind].is_default_of_direction
+                       for tests in named for each in tests)
+        if specific and len({tuple((each.kind, each.unknown) for each in tests) for tests in named}) > 1:
             raise InputError(f"the rows are of different tests ({', '.join(labels)} {where}); write each test to a "
                              "separate file", line=numbers.rows[0].line)
         hints.append(KindHint("\n".join(labels), where))
@@ -357,7 +358,8 @@ def _guess_by_words(named: Sequence[NamedTest], hints: Sequence[KindHint]) -> Ki
     """
     levels: list[NamedTest] = []
     for hint in hints:
-        here = [each for each in named if each.where == hint.where and each.kind is not None]
+        here = _omit_words_of_direction([each for each in named if each.where == hint.where
+                                         and each.kind is not None])
         if len({each.kind for each in here}) == 1:
             levels.append(here[0])
     if not levels:
@@ -376,6 +378,13 @@ def _guess_by_words(named: Sequence[NamedTest], hints: Sequence[KindHint]) -> Ki
     return KindGuess(kind, f"{first.word!r} {first.where}{between}", is_weak=first.where in of_file,
                      against=tuple(f"{each.word!r} {each.where}" for each in conflicts),
                      alternatives=tuple(dict.fromkeys(each.kind for each in conflicts if each.kind)))
+
+
+def _omit_words_of_direction(named: list[NamedTest]) -> list[NamedTest]:
+    """Return the words without single words for the direction of loading, if other words name a kind."""
+    specific = [each for each in named if each.is_named_by_several_words
+                or not KINDS[each.kind or ""].is_default_of_direction]
+    return specific or named
 
 
 def _get_loading_sign_of_named_kind(named: NamedTest) -> float:
