@@ -36,7 +36,7 @@ class Registry(Mapping[str, T], Generic[T]):
         named_by: attribute of an object that is its name.
         is_used_in_tasks: whether tasks in other processes use the objects, and results depend on their source. Objects
             that only present results or distribute tasks stay in this process.
-        aliases: other name -> name. An alias finds the object; lists contain its name only.
+        aliases: alias -> name of the object. Iteration yields names, not aliases.
     """
 
     def __init__(self, what: str, group: str, built_in: Mapping[str, T | str], *,

@@ -208,9 +208,9 @@ class SimulationSettings:
         rough_tolerance: relative residual of the second solution for the error estimate, 1.
         most_to_compare: largest ratio of the linear solves of the second solution to those of the first, 1.
         always_to_compare: number of linear solves that the second solution may use in any case.
-        contact_radius_ratio: largest ratio of the contact radius that a force-controlled test reaches to that of its
-            mesh, or the inverse, before the mesh is made again.
-        most_meshes: largest number of such meshes.
+        contact_radius_ratio: largest ratio, or its inverse, of the reached contact radius to that of the mesh; beyond
+            it a new mesh is made.
+        most_meshes: maximum number of meshes in the search for the depth.
         smallest_depth_ratio: smallest ratio of the depth of a mesh to that of the mesh before.
         bisections: number of bisections in the estimate of the first depth.
     """
@@ -471,7 +471,7 @@ def _expect_reached_depth(model: Model, **options: Any) -> Model:
         options: arguments of `simulate`.
 
     Raises:
-        ConvergenceError: as of `simulate`.
+        ConvergenceError: see `simulate`.
     """
     experiment, depth = model.experiment, _estimate_depth_under_largest_force(model)
     contact = partial(experiment.tool.contact_radius, specimen_radius=experiment.specimen.margin())

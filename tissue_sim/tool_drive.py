@@ -24,11 +24,12 @@ class ToolSearchSettings:
     """Settings of the search for the displacement of the tool at a sample.
 
     Attributes:
-        position_tolerance: of the tool of a compliant rig, over its displacement, 1.
+        position_tolerance: tolerance of the tool position behind a compliant load train, relative to the displacement,
+            1.
         force_tolerance: difference to the prescribed force, over the largest prescribed force so far, 1.
-        near_tolerance: residual, in units of the displacement or of the largest force, up to which late trials continue
-            from the trial before, 1.
-        many_trials: number of trials after which this is done.
+        near_tolerance: relative residual below which a trial after `many_trials` continues from the previous trial
+            instead of from the last sample, 1.
+        many_trials: number of trials after which `near_tolerance` is used.
         most_trials: largest number of trials.
         first_step: first displacement of the tool in force control, over the thickness of the specimen, 1.
         expansion: largest ratio of the change of the displacement to the change before it, while no trial is beyond the
@@ -289,7 +290,7 @@ class ToolDrive:
                         expected_depth=self.protocol.expected_depth)
 
     def compute_prescribed_motion(self) -> np.ndarray:
-        """Return a motion with the turns and holds of the prescribed quantity so far, 1, shape (n,).
+        """Return a dimensionless motion that increases, rests and decreases with the prescribed quantity, shape (n,).
 
         It changes by 1, 0 or -1 from sample to sample.
         """

@@ -84,7 +84,7 @@ class LongTermPronyVariables:
     Attributes:
         moduli: indices of the moduli among the unknowns.
         exponents: indices of the exponents and other dimensionless parameters of the law.
-        exponent_bounds: their lower and upper bounds.
+        exponent_bounds: lower and upper bounds of the parameters in `exponents`, 1.
         g: indices of the fractions g_i.
         tau: indices of the relaxation times.
         time_range: sampling interval and duration of the longest recording, s.

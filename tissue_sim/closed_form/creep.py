@@ -31,7 +31,7 @@ class CreepSettings:
     Attributes:
         divisions: number of equal time steps between two points in a material that relaxes. The error is proportional
             to the square of the time step.
-        tolerance: of log(stretch) or shear strain, 1.
+        tolerance: absolute tolerance of log(stretch) or shear strain, 1.
         first_step: smallest first change of log(stretch) or shear strain in the search for a bracket, 1.
         largest_strain: largest log(stretch) or shear strain of the search, 1.
     """

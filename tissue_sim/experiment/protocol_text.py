@@ -46,8 +46,8 @@ class ProtocolSegment:
             far.
         speed: m/s or N/s; None: that of the last segment with the same control.
         position: position in the text, for messages.
-        control: quantity that the segment prescribes; None: that of the segment before. Only a hold, and an unload or
-            reload without amount and speed, have None; other segments then prescribe the displacement.
+        control: quantity that the segment prescribes. None: in a hold, and in an unload or reload without amount and
+            speed, that of the segment before; in every other segment the displacement.
 
     Raises:
         InputError: a hold with a control, or an approach or retract with another control than displacement.

@@ -80,7 +80,7 @@ class ExportTarget(ABC):
             to a test without the program.
         writes_mesh: whether the file contains `ExportContent.mesh`.
         max_poisson: largest Poisson's ratio of `ExportContent.constants` that the program accepts, 1.
-        parts: ``"viscoelastic"`` if the program has a Prony series.
+        parts: parts of a material that the program has: ``{"viscoelastic"}`` with a Prony series, otherwise empty.
         softening_forms: forms of softening that the program has, see `tissue_sim.material.softening.Softening`.
         part_remarks: name of a missing part -> the difference between the program and this package, for the message.
         unit_systems: names of the unit systems in which the file can be written.

@@ -252,8 +252,7 @@ class Rig:
         """Refuse effects that have no model in a test that is controlled by the force at the load cell.
 
         Raises:
-            InputError: such an effect; lag, friction and drag of the load train, an offset of the sensor, which is set
-                to zero before such a test, lost steps, and faults.
+            InputError: the rig has latency, guide friction, rate damping, a zero offset, lost steps or faults.
         """
         for name in ("latency", "guide_friction", "rate_damping", "zero_offset", "step_loss"):
             if value := getattr(self, name):
