@@ -86,15 +86,16 @@ class SafeguardedSecant:
 
     @property
     def distance_to_trial_above(self) -> float:
-        """Distance from `trial` to the nearest trial above the root; 0 without such a trial."""
-        return self._above[0] - self.trial if self._above else 0.0
+        """Distance from `trial` to the nearest trial above the root; infinite without such a trial."""
+        return self._above[0] - self.trial if self._above else math.inf
 
     def register_residual(self, residual: float, bisects: bool = False) -> bool:
         """Store the function at `trial` and choose the next trial.
 
         Args:
             residual: value of the function.
-            bisects: whether a bracket is bisected without a secant step.
+            bisects: whether the function has no slope at `trial`, so that a bracket is bisected; without a trial above
+                the root the next trial is higher.
 
         Returns:
             Whether another trial remains.
@@ -119,6 +120,8 @@ class SafeguardedSecant:
                 self.trial = 0.5 * (self._below[0] + self._above[0])
         else:
             limit = TOOL_SEARCH.expansion * max(self._step, abs(x - last[0]) if last is not None else 0.0)
+            if bisects:
+                self.trial = math.inf
             self.trial = min(max(self.trial, x - limit, self._bounds[0]), x + limit, self._bounds[1])
         return self.trial != x
 
@@ -369,7 +372,8 @@ class ToolDrive:
                     return False
             assert force is not None
             residual, scale = goal.compute_residual(self.travel, force), goal.compute_scale(self.travel)
-            is_in_air = force == goal.value == 0.0 and not goal.displacement_weight
+            # Before the first contact every position in the air is a solution; later the tool touches at zero force.
+            is_in_air = force == goal.value == 0.0 and not goal.displacement_weight and self._largest_force > 0.0
             if step.status is StepStatus.CONVERGED and abs(residual) <= goal.tolerance * scale and not (
                     is_in_air and search.distance_to_trial_above > self._position_tolerance):
                 stiffness = None if search.slope is None else \

@@ -198,10 +198,15 @@ def check_bulk_of_confined_tests(table: FitTable, named: Mapping[str, ScopedCamp
     if table.bulk_ratio is None and not bulk:
         raise InputError(f"must be given for {confined[0]}, whose force depends on the bulk modulus; got none. State "
                          "bulk_ratio, or bulk.K_Pa in [fit.start] and a test with free sides", field="fit.bulk_ratio")
+    fitted = [name for name in bulk if name in table.start]
     incompressible = [kind.name for kind in kinds if not kind.has_lateral_wall]
-    if table.method == "analytical" and incompressible and any(name in table.start for name in bulk):
-        raise InputError(f"must be 'inverse_fem' to fit {bulk[0]}: the closed form of {incompressible[0]} assumes an "
+    if table.method == "analytical" and incompressible and fitted:
+        raise InputError(f"must be 'inverse_fem' to fit {fitted[0]}: the closed form of {incompressible[0]} assumes an "
                          "incompressible material", field="fit.method")
+    gripped = [kind.name for kind in kinds if kind.has_gripped_ends]
+    if gripped and fitted:
+        raise InputError(f"must not be fitted with {gripped[0]}, whose closed form assumes an incompressible material. "
+                         "Use a compression between plates instead", field=f"fit.start.{fitted[0]}")
 
 
 def check_values_finite_and_consistent(table: FitTable) -> None:
@@ -330,6 +335,9 @@ def find_and_check_specimen_or_none(entry: TestTable, specimens: Mapping[str, Sp
         raise InputError(f"{entry.kind} requires the shape of the specimen; {description}, of which only the "
                          "cross-section is known. State the shape, such as 'cylinder' with radius_mm",
                          field=f"{field}.specimen")
+    if shape == PRISM and kind.size_names.is_round:
+        raise InputError(f"{entry.kind} requires a circular cross-section; {description}. Use shape = 'cylinder' with "
+                         "radius_mm", field=f"{field}.specimen")
     if found.is_prism or (table.fit.method != "analytical" and not kind.has_gripped_ends):
         return found
     remedy = f"for {entry.kind} use a specimen such as shape = 'prism' with area_mm2 and height_mm" \

@@ -197,7 +197,8 @@ class OrdinaryProblem(LeastSquaresProblem):
         variables = self.long_term_variables_or_none
         low, high = self.bounds if variables is None else variables.bounds
         u = theta if variables is None else variables.convert_from_unknowns(theta)
-        reach = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(u), 1.0))
+        # Bounds of a bulk modulus are 12 decades apart; then the distance refers to the value.
+        reach = np.minimum(high - low, np.maximum(np.abs(u), 1.0))
         return (u - low <= _BOUND_DISTANCE * reach) | (high - u <= _BOUND_DISTANCE * reach)
 
     def get_contact_offsets_and_zeros(self, theta: np.ndarray) -> np.ndarray:

@@ -38,7 +38,9 @@ class ClosedFormParameters:
         free: for each free parameter of the law its index in `values` and its index among the free parameters.
         named: name -> value of all parameters, SI.
         recording: name of the recording that has these values; None: all recordings.
-        material: material with memory (relaxation, softening, ...); None: the law alone determines the stress.
+        material: material with memory (relaxation, softening, ...); None: the stress has no history.
+        bulk_modulus: K, Pa, if the closed form depends on it, otherwise 0.
+        bulk_derivatives: derivatives of K with respect to the free parameters, shape (p,).
     """
 
     space: ParameterSpace
@@ -48,6 +50,8 @@ class ClosedFormParameters:
     named: dict[str, float]
     recording: str | None
     material: Material | None
+    bulk_modulus: float
+    bulk_derivatives: np.ndarray
 
 
 @dataclass(eq=False)
@@ -73,9 +77,13 @@ class ClosedFormTest:
     specimen: Specimen | None = None
     _histories: dict[int, StrainHistory] = field(default_factory=dict, repr=False, init=False)
 
-    is_force_proportional_to_moduli: ClassVar[bool] = True
     is_homogeneous: ClassVar[bool] = True
     mesh_key: ClassVar[str] = ""
+
+    @property
+    def is_force_proportional_to_moduli(self) -> bool:
+        """Whether the force is proportional to the moduli of the law; not if it depends on a bulk modulus."""
+        return not self.closed_form.needs_bulk
 
     @property
     def has_reversals_or_holds(self) -> bool:
@@ -132,10 +140,28 @@ class ClosedFormTest:
             except InputError as error:
                 raise InfeasibleError(f"{self.name}: {error}") from None
         numbers = values if material is None else material.parameters
+        bulk_modulus, derivatives = 0.0, np.zeros(len(space.free))
+        if needs_material and material is not None:
+            bulk_modulus = material.bulk_modulus
+            derivatives = self._differentiate_bulk_modulus(space, values, recording)
         return ClosedFormParameters(space, law, np.array([numbers[name] for name in law.parameters]), free, values,
                                     recording,
-                                    material if material is not None and (
-                                        needs_material or material.is_history_dependent) else None)
+                                    material if material is not None and material.is_history_dependent else None,
+                                    bulk_modulus, derivatives)
+
+    def _differentiate_bulk_modulus(self, space: ParameterSpace, values: dict[str, float],
+                                    recording: str | None) -> np.ndarray:
+        """Return the derivatives of K with respect to the free parameters by central differences, shape (p,)."""
+        steps = DIFFERENCES.relative * space.compute_typical_parameter_sizes(values)
+        found = np.zeros(len(space.free))
+        for k, (name, step) in enumerate(zip(space.free, steps, strict=True)):
+            try:
+                above, below = (space.build_material(values | {name: values[name] + change}, test=self.name,
+                                                     recording=recording).bulk_modulus for change in (step, -step))
+            except InputError as error:
+                raise InfeasibleError(f"{self.name}: {error}") from None
+            found[k] = (above - below) / (2.0 * step)
+        return found
 
     def evaluate_force_and_derivatives(self, answers: list[ClosedFormParameters], recording: int, offset: float,
                                        contact: bool = True):
@@ -181,12 +207,19 @@ class ClosedFormTest:
             stress = closed_form.stress(law, strain, values)
             derivatives = closed_form.stress_parameter_derivatives(law, strain, values)
             slope = -self.kind.sign * closed_form.slope(law, strain, values) / self.height if contact else None
+        rates_of_bulk = np.zeros((strain.size, len(answer.space.free)))
+        if closed_form.needs_bulk:
+            stress = stress + answer.bulk_modulus * (strain - 1.0)
+            rates_of_bulk = (strain - 1.0)[:, None] * answer.bulk_derivatives
+            if slope is not None:
+                slope = slope - self.kind.sign * answer.bulk_modulus / self.height
         if not self.kind.has_gripped_ends:
             separated = self.kind.convert_abscissa_to_nominal_strain(strain) < 0.0
-            stress[separated], derivatives[separated] = 0.0, 0.0
+            stress[separated], derivatives[separated], rates_of_bulk[separated] = 0.0, 0.0, 0.0
             if slope is not None:
                 slope[separated] = 0.0
-        return self._convert_to_force(answer, stress, derivatives, slope)
+        force, rates, rate = self._convert_to_force(answer, stress, derivatives, slope)
+        return force, rates + self.kind.sign * self.area * rates_of_bulk, rate
 
     def _convert_to_force(self, answer: ClosedFormParameters, stress: np.ndarray, derivatives: np.ndarray,
                           slope: np.ndarray | None):
@@ -347,7 +380,10 @@ class ColumnTest(ClosedFormTest):
     specimen: Specimen = field(kw_only=True)
     reserve: float = 0.0
 
-    is_force_proportional_to_moduli: ClassVar[bool] = False
+    @property
+    def is_force_proportional_to_moduli(self) -> bool:
+        """False, because the weight does not change with the moduli."""
+        return False
 
     @property
     def counterpart_without_self_weight(self) -> ClosedFormTest:

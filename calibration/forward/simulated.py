@@ -33,6 +33,7 @@ from calibration.forward.simulated_motions import (
     is_force_proportional_to_moduli,
 )
 from calibration.forward.simulation_cache import SimulationCache
+from tissue_sim.closed_form.confined import CONFINED
 from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
@@ -51,9 +52,12 @@ class SimulatedTest(SimulatedMotions):
     Between the knots of the simulated motions the force is interpolated at the samples of the recordings.
     """
 
-    #: Closed form of a homogeneous test.
-    closed_form: ClassVar[ClosedForm] = UNIAXIAL
     area: ClassVar[float | None] = None
+
+    @property
+    def closed_form(self) -> ClosedForm:
+        """Closed form of a homogeneous test."""
+        return CONFINED if self.experiment.has_lateral_wall else UNIAXIAL
 
     @property
     def has_reversals_or_holds(self) -> bool:

@@ -231,6 +231,7 @@ def make_target_test(experiment: Experiment, mesh: SolidMesh, **options: float) 
         "approach.angle": (approach is not None and approach.angle != 0.0, "a tilted tool. Use an upright tool"),
         "friction": (experiment.friction == "stick", "sticking contact. Use 'bonded' or a coefficient of friction"),
         "friction_base": (experiment.resolved_base_interface != "bonded", "a base that is not bonded. Use 'bonded'"),
+        "has_lateral_wall": (experiment.has_lateral_wall, "lateral walls. Use a test with free sides"),
         "slip": (bool(experiment.slip), "a face that slips in part. Use 'bonded'"),
         "contact_laws": (bool(experiment.acting_laws), "adhesion and further contact laws. Leave them out"),
         "tilt": (bool(experiment.tilt), "the correction for a tilted face. Leave it out"),

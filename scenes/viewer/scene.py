@@ -134,7 +134,8 @@ class Scene:
             changes = {key: getattr(before, key) for key in changes}
         if friction is not None:
             changes["friction"] = friction
-        return replace(self, kind=kind, experiment=replace(before, tool=tool, **changes))
+        return replace(self, kind=kind, experiment=replace(before, tool=tool, has_lateral_wall=kind.has_lateral_wall,
+                                                           **changes))
 
 
 def read_measurements_by_kind(paths: Sequence[str | Path], scene: str) -> dict[str, Measurement]:

@@ -62,6 +62,15 @@ def test_torsion_needs_a_cylinder(tmp_path):
         calibration.calibrate([path], tmp_path / "out", figures=False)
 
 
+def test_torsion_refuses_a_prism(tmp_path):
+    angle = np.linspace(0.0, 1.0, 61)
+    write_recording(tmp_path, "torsion", angle=angle, torque=1e-3 * angle)
+    path = write_campaign(tmp_path, ("torsion",), 'laws = ["neo_hooke"]',
+                          'shape = "prism"\narea_mm2 = 314.16\nheight_mm = 12.0')
+    with pytest.raises(ts.InputError, match="torsion requires a circular cross-section"):
+        calibration.calibrate([path], tmp_path / "out", figures=False)
+
+
 def make_confined_force(material, stretch):
     from tissue_sim.closed_form.confined import CONFINED
 
@@ -82,6 +91,47 @@ def test_confined_compression_alone_with_a_stated_ratio(tmp_path):
     assert result.best.parameters["C10"] == pytest.approx(5000.0, rel=1e-6)
     assert calibration.fit.result.compute_aggregate_modulus_or_none(result.campaign, result.best) == pytest.approx(
         8e4 + 4e4 / 3, rel=1e-6)
+
+
+@pytest.mark.parametrize("reading", ["without time", "strain_points = 20", "two long recordings"])
+def test_confined_compression_without_history(tmp_path, reading):
+    material = ts.Material("neo_hooke", {"C10": 5000.0}, ts.Bulk("bulk_ratio", 8.0))
+    stretch = np.linspace(1.0, 0.8, 6000 if reading.startswith("two") else 41)
+    channels = {"displacement": (1.0 - stretch) * HEIGHT, "force": make_confined_force(material, stretch)}
+    noise = np.random.default_rng(4)
+    for number in range(2 if reading.startswith("two") else 1):
+        noisy = channels | {"force": channels["force"] + noise.normal(0.0, 1e-3, stretch.size)}
+        if reading != "without time":
+            noisy = {"time": np.arange(float(stretch.size))} | noisy
+        ts.write_recording(ts.Recording(noisy), tmp_path / f"confined_compression_{number}.csv")
+    fit = reading if reading.startswith("strain") else ""
+    path = write_campaign(tmp_path, ("confined_compression",),
+                          f'laws = ["neo_hooke"]\nbulk_ratio = 8.0\n{fit}\n\n[noise]\nforce_N = 0.001')
+    result, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    assert result.best.parameters["C10"] == pytest.approx(5000.0, rel=1e-3)
+
+
+def test_air_before_confined_compression_carries_no_force(tmp_path):
+    material = ts.Material("neo_hooke", {"C10": 5000.0}, ts.Bulk("bulk_ratio", 8.0))
+    displacement = np.linspace(-0.5e-3, 2e-3, 101)
+    force = make_confined_force(material, 1.0 - np.maximum(displacement, 0.0) / HEIGHT)
+    noise = np.random.default_rng(4).normal(0.0, 1e-3, force.size)
+    write_recording(tmp_path, "confined_compression", displacement=displacement + 0.5e-3, force=force + noise)
+    path = write_campaign(tmp_path, ("confined_compression",),
+                          'laws = ["neo_hooke"]\nbulk_ratio = 8.0\noffset = "fit"\noffset_prior_mm = 1.0\n'
+                          "offset_bounds_mm = 1.0\n\n[noise]\nforce_N = 0.001")
+    result, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    assert abs(result.best.parameters["C10"] - 5000.0) < 4 * result.best.standard_errors["C10"]
+    assert result.best.standard_errors["C10"] < 50.0
+
+
+def test_a_fitted_bulk_modulus_is_not_combined_with_a_gripped_test(tmp_path):
+    for kind in ("confined_compression", "uniaxial_tension"):
+        write_recording(tmp_path, kind, displacement=np.linspace(0.0, 1e-3, 21), force=np.linspace(0.0, 1.0, 21))
+    path = write_campaign(tmp_path, ("confined_compression", "uniaxial_tension"),
+                          'method = "inverse_fem"\nlaws = ["neo_hooke"]\nstart = { C10 = 4000.0, "bulk.K_Pa" = 5e4 }')
+    with pytest.raises(ts.InputError, match=r"fit\.start\.bulk\.K_Pa: must not be fitted with uniaxial_tension"):
+        calibration.calibrate([path], tmp_path / "out", figures=False)
 
 
 def test_a_fitted_bulk_modulus_needs_finite_elements_for_free_sides(tmp_path):

@@ -291,3 +291,17 @@ class TestSafeguardedSecant:
             search.register_residual(-1.0)
             trials.append(search.trial)
         assert trials == [0.0, *[sum(TOOL_SEARCH.expansion**k for k in range(1, n + 1)) for n in range(1, 6)], 500.0]
+
+
+def test_tool_at_zero_force_follows_the_recovering_tissue():
+    """After unloading to 0 N the tissue recovers, and the tool stays at its surface instead of in the air."""
+    material = ts.Material("neo_hooke", {"C10": 1000.0}, ts.Bulk("bulk_ratio", 1e4),
+                           viscoelastic=ts.Prony((ts.PronyTerm(0.5, 1.0),)))
+    experiment = ts.KINDS["lubricated_compression"].experiment(
+        specimen=ts.Specimen(0.01, 0.02), protocol=ts.Protocol.parse("ramp 0.5N @5N/s; hold 5s; unload; hold 5s", 8))
+    recording = ts.simulate(ts.Model(experiment, material), estimate_error=False)
+    fine = np.union1d(np.linspace(0.0, recording.time[-1], 2001), recording.time)
+    stress = -np.interp(fine, recording.time, recording.force) / (np.pi * 0.01**2)
+    closed = np.interp(recording.time, fine, 0.02 * (1.0 - ts.stretch_history(material, fine, stress)))
+    np.testing.assert_allclose(recording.displacement, closed, atol=5e-3 * closed.max())
+    assert (recording.force[-5:] < 1e-8 * 0.5).all() and (np.diff(recording.displacement[-5:]) < 0.0).all()

@@ -20,19 +20,33 @@ if TYPE_CHECKING:
 class ConfinedForm(ClosedForm):
     """Closed form of uniaxial strain, J = stretch: the nominal stress is that of the law plus K (J - 1).
 
-    At small strain the slope is the aggregate modulus K + 4/3 mu0. The law and the bulk modulus are identified together
-    with another test; alone, the test determines the aggregate modulus. Only the isochoric stress relaxes and softens.
+    The isochoric stretches are those of uniaxial loading by s = l^(2/3), so that P = P_uniaxial(s) 2/3 l^(-1/3)
+    + K (l - 1). At small strain the slope is the aggregate modulus K + 4/3 mu0. The law and the bulk modulus are
+    identified together with another test; alone, the test determines the aggregate modulus. Only the isochoric stress
+    relaxes and softens. `stress`, `slope` and `stress_parameter_derivatives` are those of the isochoric part.
     """
 
     needs_bulk: ClassVar[bool] = True
 
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
-        """Raise an `InputError`, because the law alone does not determine the stress; see `stress_history`."""
-        raise InputError("must be a material with a bulk modulus in confined compression; got a law only. Call "
-                         "stress_history with the material", field="material")
+        """Return the isochoric part of the nominal stress without history, Pa, shape of `abscissa`."""
+        return law.nominal_stress(abscissa**(2.0 / 3.0), values) * self._uniaxial_rate(abscissa)
 
-    slope = stress
-    stress_parameter_derivatives = stress
+    def slope(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+        """Return the derivative of `stress` with respect to the stretch, Pa, shape of `abscissa`."""
+        uniaxial, rate = abscissa**(2.0 / 3.0), self._uniaxial_rate(abscissa)
+        return law.nominal_stress_slope(uniaxial, values) * rate**2 - law.nominal_stress(
+            uniaxial, values) * rate / (3.0 * abscissa)
+
+    def stress_parameter_derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+        """Return the derivatives of `stress` with respect to m parameters, shape (*abscissa.shape, m)."""
+        derivatives = law.nominal_stress_parameter_derivatives(abscissa**(2.0 / 3.0), values)
+        return derivatives * self._uniaxial_rate(abscissa)[..., None]
+
+    @staticmethod
+    def _uniaxial_rate(abscissa: np.ndarray) -> np.ndarray:
+        """Return ds/dl = 2/3 l^(-1/3) of the isochoric uniaxial stretch s."""
+        return 2.0 / 3.0 * abscissa**(-1.0 / 3.0)
 
     def stress_history(self, material: Material, time: np.ndarray, abscissa: np.ndarray,
                        contact_radius: float) -> np.ndarray:

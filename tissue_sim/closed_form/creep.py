@@ -182,14 +182,21 @@ def _advance_to_stress(state: _StressState, stress: float, dt: float) -> None:
 
 def _find_bracket(residual: Callable[[float], float], start: float,
                   step: float) -> tuple[float, float] | tuple[None, None]:
-    """Return strains between which a residual changes its sign, from `start` on in steps that double from `step` on."""
+    """Return strains between which a residual changes its sign, from `start` on in steps that double from `step` on.
+
+    At the limit of the domain of a law, where the residual is not finite, the step is halved.
+    """
     at_start = residual(start)
     if at_start == 0.0:
         return start, start
-    before, step = start, -float(np.sign(at_start)) * step
-    while abs(before) < CREEP.largest_strain:
+    before, step, grows = start, -float(np.sign(at_start)) * step, True
+    while abs(before) < CREEP.largest_strain and abs(step) > CREEP.tolerance:
         here = before + step
-        if residual(here) * at_start <= 0.0:
+        found = residual(here)
+        if not np.isfinite(found):
+            step, grows = 0.5 * step, False
+        elif found * at_start <= 0.0:
             return before, here
-        before, step = here, 2.0 * step
+        else:
+            before, step = here, 2.0 * step if grows else step
     return None, None

@@ -259,7 +259,8 @@ def _read_protocol_tests_as_campaign(path: Path, content: Mapping[str, Any]) -> 
             raise InputError("is required. Give a motion such as 'ramp 10mm @0.248mm/s; hold 60s; unload'",
                              field=f"test[{number}].protocol")
     planned = {key: value for key, value in content.items() if key not in (*PROTOCOL_TABLES, "fit", "noise")}
-    planned["fit"] = {"method": "inverse_fem", "laws": ["neo_hooke"]}
+    # Nothing is fitted; the ratio is required in confined compression.
+    planned["fit"] = {"method": "inverse_fem", "laws": ["neo_hooke"], "bulk_ratio": 1000.0}
     # The temporary file is in the folder of the protocol file, because the paths in it are relative to that folder.
     with tempfile.NamedTemporaryFile("w", suffix=".toml", prefix=f".{path.stem}_", dir=path.parent, encoding="utf-8",
                                      delete=False) as file:

@@ -30,11 +30,13 @@ def test_a_scene_has_default_tool_and_interfaces(needle, name):
     assert (experiment.tool.shape, experiment.tool.radius) == (kind.tool.shape, kind.tool.radius)
     usual = kind.make_default_interfaces_by_field(kind.tool)
     assert {name: getattr(experiment, name) for name in usual} == usual
+    assert experiment.has_lateral_wall == kind.has_lateral_wall
     assert experiment.specimen is needle.experiment.specimen and experiment.protocol is needle.experiment.protocol
     assert (there.material, there.source) == (needle.material, needle.source)
     assert there.model.experiment is experiment and there.max_tool_displacement == 4e-3
     back = there.with_test_and_tool("needle_indentation")
     assert back.experiment.tool == needle.experiment.tool and back.experiment.friction == "bonded"
+    assert not back.experiment.has_lateral_wall
 
 
 def test_another_tool_keeps_the_interfaces(needle):
