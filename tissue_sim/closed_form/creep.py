@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from tissue_sim.closed_form.deformation import DEFORMATIONS
 from tissue_sim.closed_form.histories import (
@@ -169,6 +168,8 @@ def _advance_to_stress(state: _StressState, stress: float, dt: float) -> None:
     Raises:
         InputError: no strain up to `CreepSettings.largest_strain` has this stress.
     """
+    from scipy.optimize import brentq
+
     def residual(strain: float) -> float:
         return state.compute_step(strain, dt)[0] - stress
 

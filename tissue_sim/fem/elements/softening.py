@@ -13,6 +13,10 @@ from tissue_sim.material.softening import SOFTENING_FORMS
 _CENTRE = 3.75
 #: Number of Chebyshev coefficients; with them the error function is exact to 1e-14.
 _COEFFICIENTS = 22
+#: Argument from which on the continued fraction of 1 - erf x is used, 1.
+_SMALLEST_FRACTION_ARGUMENT = 2.0
+#: Number of terms of the continued fraction.
+_FRACTION_TERMS = 150
 #: Argument beyond which 1 - erf x is 0 in double precision, 1.
 _LARGEST = 30.0
 #: Derivative of the error function at 0, 1.
@@ -26,14 +30,26 @@ def compute_error_function_coefficients() -> np.ndarray:
 
     Source: Shepherd and Laframboise, Mathematics of Computation 36 (1981) 249.
     """
-    from scipy.special import erfcx
-
     def evaluate(u: np.ndarray) -> np.ndarray:
         """Return the function that the series represents, for -1 < u < 1."""
         x = _CENTRE * (1.0 + u) / (1.0 - u)
-        return (1.0 + 2.0 * x) * erfcx(x)
+        return (1.0 + 2.0 * x) * np.array([_compute_scaled_complement(each) for each in x.tolist()])
 
     return np.polynomial.chebyshev.chebinterpolate(evaluate, _COEFFICIENTS - 1)
+
+
+def _compute_scaled_complement(x: float) -> float:
+    """Return exp(x^2) (1 - erf x) for x >= 0, without SciPy, whose import is slow.
+
+    Beyond `_SMALLEST_FRACTION_ARGUMENT` Laplace's continued fraction converges to double precision (Abramowitz and
+    Stegun, Handbook of Mathematical Functions, 7.1.14).
+    """
+    if x < _SMALLEST_FRACTION_ARGUMENT:
+        return math.exp(x * x) * math.erfc(x)
+    fraction = 0.0
+    for n in range(_FRACTION_TERMS, 0, -1):
+        fraction = 0.5 * n / (x + fraction)
+    return 1.0 / (math.sqrt(math.pi) * (x + fraction))
 
 
 @cache
