@@ -33,6 +33,10 @@ class ElasticConstants:
     density: float | None = None
 
     def __post_init__(self):
+        # The numbers of a fit are NumPy's, whose text is no Python number.
+        for name in ("young", "poisson", "damping_time", "density"):
+            if getattr(self, name) is not None:
+                object.__setattr__(self, name, float(getattr(self, name)))
         if not 0.0 < self.young < math.inf:
             raise InputError(f"must be positive and finite; got {self.young:g} Pa.", field="young")
         if not 0.0 <= self.poisson < 0.5:
