@@ -8,8 +8,14 @@ import tissue_sim as ts
 from tissue_sim.laws import InvariantLaw, StretchLaw
 from tissue_sim.laws.domain import list_domain_conditions
 
-I1, I2 = sp.symbols("I1 I2", positive=True)
-A, N = sp.symbols("A N", real=True)
+#: First isochoric invariant, 1.
+I1 = sp.Symbol("I1", positive=True)
+#: Second isochoric invariant, 1.
+I2 = sp.Symbol("I2", positive=True)
+#: Coefficient of a formula, 1.
+A = sp.Symbol("A", real=True)
+#: Exponent of a formula, 1.
+N = sp.Symbol("N", real=True)
 REST = {I1: 3, I2: 3}
 
 

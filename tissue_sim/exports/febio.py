@@ -303,7 +303,7 @@ def _read_mixture(element: XmlElement) -> tuple[str, dict[str, float]]:
 
 
 def _require_no_own_bulk_modulus(element: XmlElement) -> None:
-    """Raise an error if an elastic material that is a part of another one has a bulk modulus of its own."""
+    """Raise an error if an elastic material inside another material states a bulk modulus."""
     if element.read_number("k", 0.0) != 0.0:
         raise InputError(f"k must be stated in the outer material only; got {element.read_number('k', 0.0):g} in "
                          f"<{element.tag}>.", line=element.line)
