@@ -131,13 +131,19 @@ def _make_is_a_folder_error(path: Path, expected: str) -> InputError:
     return InputError(f"is a folder, expected {expected}; name a file in it", file=path)
 
 
-def read_bytes(path: str | Path, expected: str, largest: int = LIMITS.recording) -> bytes:
-    """Read the bytes of a file; arguments and errors as in `open_input_file`."""
+def read_bytes(path: str | Path, expected: str, largest: int = LIMITS.recording, is_growing: bool = False) -> bytes:
+    """Read the bytes of a file; `is_growing`: the bytes that it has now, because a program is writing it.
+
+    The other arguments and the errors are those of `open_input_file`; also an `InputError` if the file grows and
+    `is_growing` is False.
+    """
     with open_input_file(path, expected, largest) as file:
         try:
+            size = os.fstat(file.fileno()).st_size
             # At most one byte more than the stated size, because memory is reserved for the requested number.
-            data = file.read(os.fstat(file.fileno()).st_size + 1)
-            if len(data) > largest or file.read(1):  # files of the operating system may state a size of 0
+            data = file.read(size if is_growing else size + 1)
+            # Files of the operating system may state a size of 0.
+            if not is_growing and (len(data) > largest or file.read(1)):
                 raise InputError(f"grows while it is read, expected {expected}", file=path)
         except OSError as error:  # some files of the operating system, or a disk failure
             raise InputError(f"cannot be read ({error.strerror or error}), expected {expected}", file=path) from error
@@ -205,13 +211,13 @@ def require_small_archive(path: str | Path) -> None:
                 raise
 
 
-def read_text(path: str | Path, expected: str, largest: int = LIMITS.recording) -> str:
-    """Read the UTF-8 text of a file, without its byte order mark; arguments as in `open_input_file`.
+def read_text(path: str | Path, expected: str, largest: int = LIMITS.recording, is_growing: bool = False) -> str:
+    """Read the UTF-8 text of a file, without its byte order mark; arguments as in `read_bytes`.
 
     Raises:
         InputError: see `open_input_file`; or the file is empty, binary, or not UTF-8.
     """
-    path, data = Path(path), read_bytes(path, expected, largest)
+    path, data = Path(path), read_bytes(path, expected, largest, is_growing)
     if data.startswith(ZIP_MAGIC):
         raise InputError(f"is a binary file (a zip archive, as spreadsheets are), expected {expected}; recordings in "
                          "such files are read with format = 'xlsx' or 'afm'", file=path)

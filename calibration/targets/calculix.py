@@ -332,7 +332,7 @@ def _read_forces(folder: Path) -> list[np.ndarray]:
         return []
     forces: list[np.ndarray] = []
     for when, numbers in re.findall(r"total force.*?time\s+(\S+)\n\s*\n((?:[ \t]+\S+){3})\n",
-                                    read_text(path, "an output of CalculiX")):
+                                    read_text(path, "an output of CalculiX", is_growing=True)):
         # The time of a step is 1; its increments print their forces, too.
         if abs(float(when) - len(forces) - 1) < 1e-6:
             forces.append(np.array([float(number) for number in numbers.split()]))

@@ -277,6 +277,20 @@ def test_files_of_the_system_that_say_that_they_are_empty():
     assert "grows while it is read" in refused(lambda path: read_bytes(path, "anything"), Path("/proc/self/maps"))
 
 
+def test_a_file_that_another_program_is_writing(tmp_path, monkeypatch):
+    (path := tmp_path / "test.dat").write_text("first\n", encoding="utf-8")
+
+    def add_a_line_and_state_the_earlier_size(number, state=os.fstat):
+        earlier = state(number)
+        with path.open("a", encoding="utf-8") as file:
+            file.write("second\n")
+        return earlier
+
+    monkeypatch.setattr(os, "fstat", add_a_line_and_state_the_earlier_size)
+    assert read_bytes(path, "an output", is_growing=True).splitlines()[0] == b"first"
+    assert "grows while it is read" in refused(lambda path: read_bytes(path, "an output"), path)
+
+
 @given(problem=st.text(max_size=2000), file=st.text(max_size=600), field=st.text(max_size=600),
        line=st.none() | st.integers(0, 10**9))
 def test_every_error_is_one_short_printable_line(problem, file, field, line):
