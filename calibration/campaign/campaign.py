@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -83,6 +83,8 @@ class Test:
         contact: displacement at contact, m; ``"recorded"``: the zero of the recording; ``"find"``: detected.
         failure: treatment of samples after a failure: ``"cut"``, ``"keep"`` or ``"refuse"``.
         control: quantity that the machine controls, ``"displacement"`` or ``"force"``; ``"find"``: detected.
+        table_name: name of the table ``[[test]]``; empty: `name`. A table of a kind with several loads gives one test
+            for each load.
         protocol: motion of a planned test without recordings, as text.
         solver: name of the solver that simulates the test.
         leave_out: name of a recording -> numbers of the samples to leave out, counted from 1; the name ``""`` means
@@ -105,6 +107,7 @@ class Test:
     solver: str = "axisymmetric"
     leave_out: Mapping[str, tuple[int, ...]] = field(default_factory=_freeze_mapping)
     control: Literal["find", "displacement", "force"] = "find"
+    table_name: str = ""
 
     @property
     def states_stress(self) -> bool:
@@ -276,7 +279,7 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], root: P
         field = f"test[{i}]"
         same_kind = sum(other.kind == entry.kind for other in table.test) > 1
         name = entry.name if entry.name is not None else f"{entry.kind}_{i + 1}" if same_kind else entry.kind
-        if name in tests:
+        if name in (*tests, *(test.table_name for test in tests.values())):
             raise InputError(f"names of tests must be unique; got {name!r} twice", field=f"{field}.name")
         if table.fit.method == "analytical":
             require_analytical_support_of_test_table(entry, field)
@@ -300,15 +303,20 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], root: P
                                  field=f"{field}.{key}")
         _require_valid_delimiter_and_decimal_mark(entry, field)
         specimen = find_and_check_specimen_or_none(entry, specimens, table, field)
-        tests[name] = Test(
-            name, kind, specimen, () if entry.protocol is not None and not entry.recordings else
+        first = Test(
+            name, kind.select_load(0), specimen, () if entry.protocol is not None and not entry.recordings else
             find_recording_files(entry.recordings, root, f"{field}.recordings"),
             _make_reader_keyword_arguments(entry, read_column_map_or_none(entry, field)), entry.max_strain,
             entry.hold_out, field, read_experiment_or_none_if_gripped(entry, specimen, root, field),
             read_rig_without_noise(entry, root, field),
             entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol,
             read_solver_name(entry, specimen, field), _read_left_out_sample_numbers(entry, f"{field}.leave_out"),
-            entry.control)
+            entry.control, name)
+        names = [f"{name} {load}" for load in kind.load_names] or [name]
+        tests |= {each: replace(first, name=each, kind=kind.select_load(i)) for i, each in enumerate(names)}
+        if kind.load_count > 1 and entry.contact != "recorded":
+            raise InputError(f"contact must be 'recorded' in {entry.kind}, which has several loads; got "
+                             f"{entry.contact!r}. Leave contact out", field=f"{field}.contact")
     if all(test.hold_out for test in tests.values()):
         raise InputError("at least one test must be fitted, but all are held out; set hold_out = false for one",
                          field="test[0].hold_out")

@@ -12,6 +12,7 @@ import numpy as np
 
 import tissue_sim
 from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.loads import combine_loads, is_load_against_motion, read_motion_and_loads
 from calibration.campaign.parameters import OFFSET_DEFAULTS
 from calibration.campaign.sample_selection import (
     SegmentedRecording,
@@ -125,6 +126,8 @@ class MeasuredCurve:
         displacement: displacement, m, positive under load, shape (n,).
         force: force, N, positive under load, shape (n,).
         segment: label of the segment of each sample, shape (n,); None if all samples are one loading.
+        motions: stretch of each axis, that of the force first, shape (n, k), if several motions determine the force.
+            The displacement is then the equivalent strain sqrt((I1 - 3) / 3); None: the displacement is the motion.
         file: path of the recording.
         sha256: SHA-256 of the file.
         stressed: whether strain and stress were recorded.
@@ -152,6 +155,29 @@ class MeasuredCurve:
     whole: SegmentedRecording | None = None
     notes: Mapping[str, str] = field(default_factory=dict)
     screening: Screening = field(default_factory=Screening)
+    motions: np.ndarray | None = None
+
+    def select(self, samples) -> MeasuredCurve:
+        """Return the curve with the samples of a mask, slice or index array."""
+        def select_or_none(values):
+            """Return the samples of an array; None without the array."""
+            return None if values is None else values[samples]
+
+        return replace(self, displacement=self.displacement[samples], force=self.force[samples],
+                       time=select_or_none(self.time), segment=select_or_none(self.segment),
+                       interpolation=select_or_none(self.interpolation), motions=select_or_none(self.motions))
+
+    def subtract_contact_offset(self, offset: float) -> MeasuredCurve:
+        """Return the curve with its motion measured from another contact; with several motions that of the load.
+
+        Args:
+            offset: contact offset, m.
+        """
+        if self.motions is None:
+            return replace(self, displacement=self.displacement - offset)
+        kind, motions = self.test.kind, self.motions.copy()
+        motions[:, 0] -= kind.sign * offset / self.test.reference_height
+        return replace(self, motions=motions)
 
     @property
     def sample_times(self) -> np.ndarray:
@@ -271,7 +297,9 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
     material, closed = campaign.fit.placeholder_material_with_effects, campaign.fit.method == "analytical" \
         or test.experiment is None
     require_matching_specimen_metadata(recording, test, campaign, path)
-    displacement, force, stressed = _get_displacement_force_and_stressed_flag(recording, test, path)
+    read = read_motion_and_loads(recording, test, path)
+    loads, stressed, motions = read.loads, read.stressed, read.motions
+    displacement, force = read.displacement, combine_loads(read.displacement, loads)
     require_closed_form_support_if_used(test, material, stressed, closed, path)
     time = np.array(recording.time) if "time" in recording else None
     if time is None and test.rig.needs_time:
@@ -286,7 +314,8 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
     whole = segment_recording_from_contact(test, displacement, force, time, labels, stressed=stressed,
                                            remembering=remembering,
                                            path=path)
-    displacement, force, keep = whole.displacement, whole.force, whole.used
+    displacement, keep = whole.displacement, whole.used
+    force = whole.force if len(loads) == 1 else loads[0]
     if not whole.segmentation.has_air:
         screening = add_load_at_zero_to_screening(screening, displacement, force, campaign,
                                                   allows_reversed_load=test.kind.allows_reversed_load,
@@ -306,8 +335,10 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
             raise InputError(f"{path.name}: the time must increase for a material with memory; all samples have the "
                              "same time", field="recordings")
     elif time is None and stressed:
-        # A table of stress and stretch has no order in time; neighbours in the sorted table give the noise.
-        samples = samples[np.argsort(displacement[samples], kind="stable")]
+        # A table of stress and stretch has no order in time; neighbours in the sorted table give the noise. A table of
+        # several motions keeps its order, in which series follow each other.
+        if motions is None:
+            samples = samples[np.argsort(displacement[samples], kind="stable")]
     else:
         samples = select_sample_indices_for_elastic_law(samples, displacement, screening, path,
                                                         both_sides=test.kind.has_gripped_ends)
@@ -326,7 +357,8 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
     if samples.size < MIN_POINTS:
         raise InputError(f"{path.name} must have at least {MIN_POINTS} points of loading in the window; got "
                          f"{samples.size}. Sort the file by time, or increase max_strain", field="recordings")
-    if np.sum(force[samples] * displacement[samples]) <= 0:
+    if is_load_against_motion(displacement[samples], force[samples], None if motions is None else motions[samples],
+                              test):
         raise InputError(f"{path.name} has a force or stress of the wrong sign; {test.kind.name} requires values above "
                          "zero under load. Change the sign of the column with sign = -1", field="recordings")
     time = None if time is None else time[samples]
@@ -346,7 +378,7 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
                           notes=get_notes_with_fit_before_contact_warning(whole, int(samples.min()), stressed=stressed)
                           | make_kind_and_tool_mismatch_notes(recording, test)
                           | make_screening_notes_by_subject(screening, recording, remembering=remembering),
-                          screening=screening)
+                          screening=screening, motions=None if motions is None else motions[samples])
     if campaign.fit.method == "analytical":
         loaded = replace(curve, displacement=displacement[loading], force=force[loading])
         curve = add_noise_and_requested_interpolation(loaded, campaign, curve)
@@ -377,6 +409,9 @@ def add_noise_and_requested_interpolation(loading: MeasuredCurve, campaign: Camp
     points = campaign.fit.strain_points
     if points is None:
         return replace(window, noise=noise)
+    if window.motions is not None:
+        raise InputError(f"strain_points must be left out, because several motions determine the force of "
+                         f"{window.file.name}; got {points}", file=campaign.path, field="fit.strain_points")
     grid, interpolation = _make_even_grid_and_interpolation_matrix(loading.displacement, loading, campaign, points)
     return replace(window, noise=noise, time=None, displacement=grid, force=interpolation @ loading.force,
                    interpolation=interpolation)
@@ -403,39 +438,6 @@ def _make_even_grid_and_interpolation_matrix(displacement: np.ndarray, curve: Me
     weights = np.concatenate([1.0 - fraction, fraction])
     indices = np.tile(np.arange(points), 2), np.concatenate([samples[right - 1], samples[right]])
     return grid, csr_array((weights, indices), shape=(points, displacement.size))
-
-
-def _get_displacement_force_and_stressed_flag(recording: Recording, test: Test,
-                                              path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
-    """Return displacement (m), force (N), both positive under load, and whether strain and stress were recorded."""
-    mechanical, *direct = test.kind.channels
-    stated = next((pair for pair in direct if all(name in recording for name in pair)), None)
-    if all(name in recording for name in mechanical) and (test.specimen is not None or stated is None):
-        if test.specimen is None:
-            raise InputError(f"{path.name} contains {' and '.join(mechanical)}, which require a [[specimen]] to "
-                             "compute stress", field="specimen")
-        channels = [np.array(recording.channel(name)) for name in mechanical]
-        form = test.kind.closed_form
-        other = None if form is None else form.convert_motion_and_load(test.specimen, channels[0], channels[1])
-        if other is not None:
-            return *other, True
-        return np.array(recording.displacement), np.array(recording.force), False
-    if stated is None:
-        required = ", or ".join(" and ".join(pair) for pair in test.kind.channels)
-        raise InputError(f"{path.name} has {', '.join(recording.channels)}; {test.kind.name} requires {required}",
-                         field="recordings")
-    if test.specimen is not None and test.specimen.specific_weight:
-        raise InputError(f"{path.name} contains {' and '.join(stated)}, which vary over the height with gravity = "
-                         f"true; use {' and '.join(mechanical)}, or set gravity = false", field="recordings")
-    motion, load = stated
-    if test.specimen is not None and not test.specimen.is_prism:
-        raise InputError(f"{path.name} contains {' and '.join(stated)}, and {test.specimen.name!r} is "
-                         f"{add_indefinite_article(test.specimen.shape)} without constant cross-section; use "
-                         f"{' and '.join(mechanical)}", field="recordings")
-    height, area = test.reference_height, test.reference_area
-    return (height * test.kind.convert_abscissa_to_nominal_strain(recording.channel(motion)),
-            test.kind.sign * area * recording.channel(load),
-            True)
 
 
 def _require_similar_speeds_and_depths(curves: list[MeasuredCurve], test: Test, campaign: Campaign) -> None:

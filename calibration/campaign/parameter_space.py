@@ -349,7 +349,10 @@ def _make_parameters_of_scope(named: ScopedCampaignParameter, tests: Sequence[Te
 
     own = [test for test in tests if test.name in named.tests and not test.hold_out]
     if named.scope == PER_TEST:
-        return [make_fit_parameter(test.name, (test.name,)) for test in own]
+        tables: dict[str, list[str]] = {}
+        for test in own:
+            tables.setdefault(test.table_name or test.name, []).append(test.name)
+        return [make_fit_parameter(table, tuple(names)) for table, names in tables.items()]
     if named.scope == PER_REPLICATE:
         return [make_fit_parameter(recording, (test.name,), recording)
                 for test in own for recording in recordings.get(test.name, ())]

@@ -322,8 +322,8 @@ def refit_from_far_contacts_and_describe_them(evidence: FitEvidence,
         if not far:
             break
         shifts |= {name: shifts.get(name, 0.0) + contact for name, contact in far.items()}
-        measured = {test: tuple(replace(curve, displacement=curve.displacement - shifts.get(curve.name, 0.0))
-                                for curve in curves) for test, curves in evidence.measured.items()}
+        measured = {test: tuple(curve.subtract_contact_offset(shifts.get(curve.name, 0.0)) for curve in curves)
+                    for test, curves in evidence.measured.items()}
         try:
             found = fit_without_effects(evidence.campaign, measured, evidence.problem.solves, context, evidence.limits)
         except ConvergenceError:

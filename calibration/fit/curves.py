@@ -295,6 +295,12 @@ def _predict_force_error_and_bands_along_path(solves: SimulationCache, predictor
 def _build_model_path_as_forceless_recording(test: ForwardTest) -> MeasuredCurve:
     """Return the path of the model as a recording without force: the motion of the first recording, or one loading."""
     first, segment = test.measured[0], None
+    if first.motions is not None:
+        # The other motions are known along the recorded path only.
+        steps = min(first.force.size, 4 * _CURVES.points)
+        path = first.select(np.linspace(0, first.force.size - 1, steps).astype(int))
+        return replace(path, force=np.zeros(steps), segment=None if first.segment is None else np.full(steps, ""),
+                       interpolation=None)
     time: np.ndarray | None = None
     reached = np.concatenate([curve.displacement for curve in test.measured])
     if test.has_reversals_or_holds:

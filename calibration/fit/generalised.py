@@ -151,8 +151,10 @@ def _require_stable_law_in_homogeneous_tests(problem: GeneralisedProblem, theta:
         if not test.is_homogeneous or not test.closed_form.rest:
             continue
         reached = test.compute_stretch_range(space, theta)
+        if reached.mode is None:
+            continue
         low, high = reached.low, reached.high
-        lower, upper = find_stability_range(law, own, (min(low, 0.99), max(high, 1.01))).limits[test.closed_form.mode]
+        lower, upper = find_stability_range(law, own, (min(low, 0.99), max(high, 1.01))).limits[reached.mode]
         if lower > low or upper < high:
             limit, end = (lower, low) if lower > low else (upper, high)
             raise InputError(f"the values must make {law.name} stable up to stretch {end:.3g}, which {test.name} "

@@ -148,22 +148,20 @@ class OrdinaryProblem(LeastSquaresProblem):
 
         The recordings of a test are merged to one if they have no individual unknowns.
         """
-        def slice_recording_by_stride(curve: MeasuredCurve) -> MeasuredCurve:
-            """Return a recording with every `stride`-th sample."""
-            time = None if curve.time is None else curve.time[::stride]
-            return replace(curve, displacement=curve.displacement[::stride], force=curve.force[::stride], time=time)
-
         def concatenate_recordings_if_no_own_unknowns(curves: list[MeasuredCurve]) -> list[MeasuredCurve]:
             """Join recordings to one without time, unless they have individual unknowns or depend on the history."""
             if self.shifted or self.is_history_dependent or any(each.recording is not None
                                                                 for each in self.space.unknowns):
                 return curves
+            motions = [curve.motions for curve in curves if curve.motions is not None]
             return [replace(curves[0], time=None, displacement=np.concatenate([curve.displacement for curve in curves]),
-                            force=np.concatenate([curve.force for curve in curves]))]
+                            force=np.concatenate([curve.force for curve in curves]),
+                            motions=np.concatenate(motions) if motions else None)]
 
         return replace(self, tests=tuple(
             replace(test, measured=tuple(
-                concatenate_recordings_if_no_own_unknowns(list(map(slice_recording_by_stride, test.measured)))))
+                concatenate_recordings_if_no_own_unknowns([curve.select(slice(None, None, stride))
+                                                           for curve in test.measured])))
             for test in self.tests))
 
     def make_problem_and_unknowns_without_test(self, number: int,

@@ -337,17 +337,10 @@ class LeastSquaresProblem(ABC):
 
     def with_samples_up_to_displacement_fraction(self, fraction: float) -> LeastSquaresProblem:
         """Return the problem with the samples of each test up to a fraction of its largest displacement."""
-        def keep_samples_within_displacement(curve: MeasuredCurve, reach: float) -> MeasuredCurve:
-            kept = np.flatnonzero(np.abs(curve.displacement) <= reach)
-            return replace(curve, displacement=curve.displacement[kept], force=curve.force[kept],
-                           time=None if curve.time is None else curve.time[kept],
-                           segment=None if curve.segment is None else curve.segment[kept],
-                           interpolation=None if curve.interpolation is None else curve.interpolation[kept])
-
         tests = []
         for test in self.tests:
             reach = fraction * max(float(np.abs(curve.displacement).max()) for curve in test.measured)
-            kept = tuple(keep_samples_within_displacement(curve, reach) for curve in test.measured)
+            kept = tuple(curve.select(np.flatnonzero(np.abs(curve.displacement) <= reach)) for curve in test.measured)
             tests.append(replace(test, measured=kept))
         return replace(self, tests=tuple(tests))
 

@@ -22,6 +22,7 @@ from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.laws import Law, find_law
+from tissue_sim.laws.modes import STRETCH_MODES
 from tissue_sim.material.material import Material
 from tissue_sim.parameters import split_path_into_names_and_indices
 from tissue_sim.specimen import Specimen
@@ -108,8 +109,7 @@ class ClosedFormTest:
     @property
     def largest_strain_or_none(self) -> float | None:
         """Largest I1 - 3 of the recordings in contact; see `ForwardTest.largest_strain_or_none`."""
-        abscissa = self.convert_displacement_to_stretch_or_shear(
-            np.concatenate([curve.displacement for curve in self.measured]))
+        abscissa = np.concatenate([self._compute_abscissa(curve) for curve in self.measured])
         if not self.kind.has_gripped_ends:
             abscissa = abscissa[self.kind.convert_abscissa_to_nominal_strain(abscissa) >= 0.0]
         return float((self.closed_form.compute_first_invariant(abscissa) - 3.0).max(initial=0.0))
@@ -176,8 +176,8 @@ class ClosedFormTest:
             contact: whether the derivative with respect to the contact offset is computed; otherwise it is None.
         """
         answer = answers[recording]
-        force, rates, rate = self._evaluate_elastic_force_and_derivatives(answer, self.measured[recording].displacement
-                                                                          - offset, contact) \
+        force, rates, rate = self._evaluate_elastic_force_and_derivatives(
+            answer, self.measured[recording].subtract_contact_offset(offset), contact) \
             if answer.material is None else self._evaluate_force_with_memory(answer, answer.material, recording, offset,
                                                                              contact)
         if not (np.isfinite(force).all() and np.isfinite(rates).all()):
@@ -193,21 +193,21 @@ class ClosedFormTest:
                 names |= {name for name in answer.space.free if name not in exact or name.endswith(".tau")}
         return frozenset(names)
 
-    def _evaluate_elastic_force_and_derivatives(self, answer: ClosedFormParameters, displacement: np.ndarray,
+    def _evaluate_elastic_force_and_derivatives(self, answer: ClosedFormParameters, curve: MeasuredCurve,
                                                 contact: bool):
         """Return force (n,), derivatives with respect to the free parameters (n, p) and the contact offset (n,).
 
-        The material is elastic; `displacement` is measured from contact, m, shape (n,). The last value is None if
-        `contact` is false.
+        The material is elastic; the motion of `curve` is measured from contact. The last value is None if `contact` is
+        false.
         """
         law, values, closed_form = answer.law, answer.values, self.closed_form
-        strain = self.convert_displacement_to_stretch_or_shear(displacement)
+        strain = self._compute_abscissa(curve)
         # Trial values of the optimiser may overflow; the optimiser rejects forces that are not finite.
         with np.errstate(all="ignore"):
             stress = closed_form.stress(law, strain, values)
             derivatives = closed_form.stress_parameter_derivatives(law, strain, values)
             slope = -self.kind.sign * closed_form.slope(law, strain, values) / self.height if contact else None
-        rates_of_bulk = np.zeros((strain.size, len(answer.space.free)))
+        rates_of_bulk = np.zeros((stress.size, len(answer.space.free)))
         if closed_form.needs_bulk:
             stress = stress + answer.bulk_modulus * (strain - 1.0)
             rates_of_bulk = (strain - 1.0)[:, None] * answer.bulk_derivatives
@@ -317,7 +317,7 @@ class ClosedFormTest:
         measured, factor = self.measured[recording], self.kind.sign * self.area
         with np.errstate(all="ignore"):
             if not self._supports_homogeneous_history or material.effects:
-                strain = self.convert_displacement_to_stretch_or_shear(measured.displacement - offset)
+                strain = self._compute_abscissa(measured.subtract_contact_offset(offset))
                 return factor * self.closed_form.stress_history(material, measured.sample_times, strain,
                                                                 self.equivalent_radius)
             return factor * self.get_homogeneous_history(recording, offset).nominal_stress(
@@ -335,11 +335,17 @@ class ClosedFormTest:
             return self._histories[recording]
         measured = self.measured[recording]
         found = StrainHistory(self.closed_form.law_mode, measured.sample_times,
-                              self.convert_displacement_to_stretch_or_shear(measured.displacement - offset),
+                              self._compute_abscissa(measured.subtract_contact_offset(offset)),
                               self.largest_step)
         if offset == 0.0:
             self._histories[recording] = found
         return found
+
+    def _compute_abscissa(self, curve: MeasuredCurve) -> np.ndarray:
+        """Return the stretch or shear strain at the samples, shape (n,); of several motions all, shape (n, k)."""
+        if curve.motions is not None:
+            return curve.motions
+        return self.convert_displacement_to_stretch_or_shear(curve.displacement)
 
     def convert_displacement_to_stretch_or_shear(self, displacement: np.ndarray) -> np.ndarray:
         """Return the stretch (in shear: the shear strain) at displacements in m; same shape as the displacements."""
@@ -355,9 +361,11 @@ class ClosedFormTest:
 
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the range of stretches; see `ForwardTest.compute_stretch_range`."""
-        strain = np.concatenate([self.convert_displacement_to_stretch_or_shear(curve.displacement)
-                                 for curve in self.measured])
+        strain = np.concatenate([self._compute_abscissa(curve) for curve in self.measured])
         low, high, closed_form = float(strain.min()), float(strain.max()), self.closed_form
+        if self.kind.has_several_motions:
+            principal = STRETCH_MODES[closed_form.law_mode].compute_principal_stretches(strain)
+            return StretchRange(None, low, high, (float(principal.min()), float(principal.max())))
         if not closed_form.rest:
             return StretchRange(closed_form.mode, *closed_form.find_extreme_stretches(low, high),
                                 closed_form.find_extreme_stretches(low, high))
@@ -390,13 +398,13 @@ class ColumnTest(ClosedFormTest):
         """Closed form of the same test without self-weight."""
         return ClosedFormTest(self.name, self.kind, self.height, self.area, self.measured)
 
-    def _evaluate_elastic_force_and_derivatives(self, answer: ClosedFormParameters, displacement: np.ndarray,
+    def _evaluate_elastic_force_and_derivatives(self, answer: ClosedFormParameters, curve: MeasuredCurve,
                                                 contact: bool):
         """Return the same quantities as in `ClosedFormTest`, for a column that has settled under its weight."""
         column, law, values = Column(self.specimen), answer.law, answer.values
         deepest = max(float(curve.displacement.max()) for curve in self.measured) + self.reserve
         # With the deepest point appended, the column is solved at the same states for every offset.
-        moved = np.append(displacement, deepest)
+        moved = np.append(curve.displacement, deepest)
         stress = column.nominal_stress(law, moved, values)[:-1]
         slope = -column.stress_displacement_slope(law, moved, values)[:-1] if contact else None
         derivatives = column.nominal_stress_parameter_derivatives(law, moved, values)[:-1]

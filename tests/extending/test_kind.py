@@ -1,6 +1,6 @@
 """A kind of test from one file: its recordings are read, and calibrated by its closed form."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -8,6 +8,7 @@ import pytest
 import calibration
 import tissue_sim as ts
 from scenes import SCENES
+from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.recording.formats.kind_words import KindHint, find_named_tests
 from tissue_sim.recording.formats.understanding import interpret_file
 
@@ -131,3 +132,62 @@ def test_control_is_that_of_the_protocol():
     assert replace(old, sign=1.0).sign == 1.0
     creep = old.experiment(specimen=ts.Specimen(0.02, 0.02), protocol=ts.Protocol.parse("ramp 1N @1N/s; hold 5s"))
     assert creep.protocol.uses_force_control
+
+
+@dataclass(frozen=True)
+class SecondCell(ClosedForm):
+    """Uniaxial tension whose second load cell carries half of the load."""
+
+    fraction: float = 1.0
+
+    def select_load(self, number):
+        return replace(self, fraction=0.5**number)
+
+    def stress(self, law, abscissa, values):
+        return self.fraction * super().stress(law, abscissa, values)
+
+    def stress_parameter_derivatives(self, law, abscissa, values):
+        return self.fraction * super().stress_parameter_derivatives(law, abscissa, values)
+
+
+@pytest.fixture
+def two_loads(registers):
+    return registers(ts.KINDS, ts.TestKind(
+        name="two_cells", title="Two load cells", tool=None, sign=1.0, closed_form=SecondCell("uniaxial", "uniaxial"),
+        load_names=("first cell", "second cell"),
+        channels=(("displacement", "force", "displacement", "force 2"),
+                  ("stretch", "nominal stress", "stretch", "nominal stress 2"))))
+
+
+def test_a_kind_with_two_loads_fits_both(two_loads, tmp_path):
+    """The test of each load sees its own channel: the second one has another modulus, and the fit is their mean."""
+    stretch, law = np.linspace(1.0, 1.5, 41), ts.find_law("neo_hooke")
+    ts.write_recording(ts.Recording({"stretch": stretch,
+                                     "nominal stress": law.nominal_stress(stretch, {"C10": 1000.0}),
+                                     "nominal stress 2": 0.5 * law.nominal_stress(stretch, {"C10": 1100.0})}),
+                       tmp_path / "a.csv")
+    path, text = tmp_path / "study.toml", '[[test]]\nkind = "two_cells"\nrecordings = ["a.csv"]\n{}\n[fit]\nlaws = ' \
+        '["neo_hooke"]\n{}'
+    path.write_text(text.format("", ""), encoding="utf-8")
+    assert [test.name for test in calibration.load_campaign(path).tests] == ["two_cells first cell",
+                                                                             "two_cells second cell"]
+    result, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    # Least squares with the factors 1 and 1/2 of the loads.
+    assert result.best.parameters["C10"] == pytest.approx((1000.0 + 0.25 * 1100.0) / 1.25)
+    path.write_text(text.format("", '[fit.scope]\nC10 = "per_test"\n'), encoding="utf-8")
+    result, = calibration.calibrate([path], tmp_path / "both", figures=False)
+    assert result.best.parameters == pytest.approx({"C10@two_cells": 1020.0})
+    path.write_text(text.format('contact = "find"', ""), encoding="utf-8")
+    with pytest.raises(ts.InputError, match="contact must be 'recorded' in two_cells, which has several loads"):
+        calibration.load_campaign(path)
+
+
+def test_channels_of_several_loads(two_loads, tmp_path):
+    second = two_loads.select_load(1)
+    assert second.channels[1] == ("stretch", "nominal stress 2", "stretch", "nominal stress")
+    assert second.closed_form.fraction == 0.5 and not second.has_several_motions
+    ts.write_recording(ts.Recording({"stretch": np.ones(6), "nominal stress": np.ones(6)}), tmp_path / "a.csv")
+    with pytest.raises(ts.InputError, match="or 'stretch' and 'nominal stress' and 'nominal stress 2'; this"):
+        ts.read_recording(tmp_path / "a.csv", kind="two_cells")
+    with pytest.raises(ts.InputError, match="must list a motion and a load for each of 1 loads"):
+        ts.TestKind(name="a", title="A", tool=ts.Tool(), sign=1.0, channels=two_loads.channels)

@@ -40,8 +40,18 @@ class ClosedForm:
         """Whether a column under its own weight has a closed form; see `tissue_sim.closed_form.column`."""
         return self.law_mode == "uniaxial"
 
+    def select_load(self, number: int) -> ClosedForm:
+        """Return the closed form of one of several loads; see `tissue_sim.TestKind.select_load`.
+
+        Args:
+            number: index of the load, from 0.
+        """
+        return self
+
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return the nominal stress without history, Pa, negative in compression, shape of `abscissa`.
+
+        A form of k motions gets an abscissa of shape (n, k), that of the load first, and returns the shape (n,).
 
         Examples:
             >>> from tissue_sim import KINDS, find_law
@@ -61,7 +71,7 @@ class ClosedForm:
 
     def convert_motion_and_load(self, specimen: Specimen, motion: np.ndarray,
                                 load: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-        """Convert channels other than displacement and force to strain and nominal stress, positive under load.
+        """Convert the channels of the machine to strain and nominal stress, positive under load.
 
         Args:
             specimen: specimen of the test.
@@ -69,7 +79,7 @@ class ClosedForm:
             load: load, such as a torque, N m, shape (n,).
 
         Returns:
-            Strain, 1, and stress, Pa, shapes (n,); None: the kind has displacement and force.
+            Strain, 1, and stress, Pa, shapes (n,); None: the model uses displacement and force.
 
         Raises:
             InputError: the conversion does not hold for the specimen.

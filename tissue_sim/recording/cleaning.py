@@ -15,7 +15,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.control import estimate_noise_deviation
 from tissue_sim.recording.measures import StrainOrStressMeasure, get_original_measures
 from tissue_sim.recording.outliers import find_outliers_of_motion_and_load, make_left_out_samples_of_outliers
-from tissue_sim.recording.recording import CHANNELS, LOADS, MIN_POINTS, MOTIONS, Recording
+from tissue_sim.recording.recording import CHANNELS, LOADS, MIN_POINTS, MOTIONS, SECOND_MOTIONS, Recording
 from tissue_sim.recording.saturation import find_last_digit_step_or_zero, find_saturated_runs
 from tissue_sim.recording.screening import LeftOutSamples, Saturation, Screening
 
@@ -169,7 +169,8 @@ def remove_outliers_and_saturation(recording: Recording, leave_out: Sequence[int
     """Return a recording without outliers and saturated samples, and the findings.
 
     Args:
-        recording: a recording without a motion or without a load is returned without a change.
+        recording: a recording without a motion or without a load is returned without a change. In a recording of two
+            axes only the samples in `leave_out` are removed.
         leave_out: numbers of the samples to leave out, from 1; None: outliers are found.
         zeroed: channels that were counted from the first sample. If the first sample is an outlier, they are counted
             from the value that the other samples predict for it.
@@ -184,14 +185,17 @@ def remove_outliers_and_saturation(recording: Recording, leave_out: Sequence[int
     if motion is None or load is None:
         return recording, Screening()
     channels = {name: recording.channel(name) for name in (motion, load)}
+    # With two axes, a load is no function of one motion.
+    has_one_axis = not any(name in recording for name in SECOND_MOTIONS)
+    found: tuple[LeftOutSamples, ...] = ()
     try:
-        outliers = find_outliers_of_motion_and_load(channels[motion], channels[load], is_counted=motion in zeroed)
-        found = make_left_out_samples_of_outliers(outliers, channels, format_channel_value)
+        if has_one_axis:
+            outliers = find_outliers_of_motion_and_load(channels[motion], channels[load], is_counted=motion in zeroed)
+            found = make_left_out_samples_of_outliers(outliers, channels, format_channel_value)
     except InputError:
         # A list in the campaign states that all other samples are valid.
         if leave_out is None:
             raise
-        found = ()
     suspected: tuple[LeftOutSamples, ...] = ()
     if leave_out is not None:
         found, suspected = _split_outliers_by_campaign_list(recording, leave_out, found)
@@ -202,9 +206,9 @@ def remove_outliers_and_saturation(recording: Recording, leave_out: Sequence[int
         raise InputError(f"only {kept.size} of {len(recording)} samples are kept; at least {MIN_POINTS} are needed",
                          field="leave_out")
     rest = recording if kept.size == len(recording) else recording.select(kept)
-    saturation = () if controlled == "force" else _list_load_saturations(rest, kept, load, motion,
-                                                                         is_free=controlled == "displacement")
-    if controlled != "displacement":
+    saturation = () if controlled == "force" or not has_one_axis else \
+        _list_load_saturations(rest, kept, load, motion, is_free=controlled == "displacement")
+    if controlled != "displacement" and has_one_axis:
         saturation += _list_channel_saturations(rest, kept, motion, load, is_free=controlled == "force")
     if saturation:
         is_kept[[number - 1 for each in saturation for number in each.samples]] = False

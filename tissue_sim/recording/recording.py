@@ -24,14 +24,19 @@ CHANNELS: dict[str, str] = {
     "time": "time", "displacement": "length", "force": "force",
     "stretch": "ratio", "nominal stress": "stress", "shear strain": "ratio",
     "angle": "angle", "torque": "torque", "temperature": "temperature",
+    "displacement 2": "length", "force 2": "force", "stretch 2": "ratio", "nominal stress 2": "stress",
     "Fx": "force", "Fy": "force", "Fz": "force", "Tx": "torque", "Ty": "torque", "Tz": "torque",
 }
 #: Channel of a motion -> its value at rest. The first one of a recording is used.
 MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0, "angle": 0.0}
 #: Channels of a load. The first one of a recording is used.
 LOADS = ("force", "nominal stress", "torque")
+#: Channel of a motion along a second axis -> its value at rest.
+SECOND_MOTIONS = {"displacement 2": 0.0, "stretch 2": 1.0}
+#: Channels of a load along a second axis.
+SECOND_LOADS = ("force 2", "nominal stress 2")
 #: Channels from which stress and strain follow by the sizes of the specimen only.
-SIZE_DEPENDENT = ("displacement", "force", "angle", "torque")
+SIZE_DEPENDENT = ("displacement", "force", "angle", "torque", "displacement 2", "force 2")
 #: Names of the labels of samples.
 LABELS = ("segment", "cycle")
 #: Fewest samples of a recording.
@@ -45,7 +50,7 @@ class Recording:
     Attributes:
         channels: name in `CHANNELS` -> values in SI, all of shape (n,), read-only. Displacement is positive into the
             tissue, force positive when the tissue pushes back; stretch and nominal stress carry their sign
-            (compression: stretch below 1, stress below 0).
+            (compression: stretch below 1, stress below 0). Channels of a second axis end with 2.
         labels: ``segment`` (str) and ``cycle`` (int), each of shape (n,), where they exist.
         metadata: the sidecar: specimen, tool, device configuration, source file, SHA-256, solver status, ...
         fields: converged fields of a simulation (see `tissue_sim.Fields`), None for a measurement.

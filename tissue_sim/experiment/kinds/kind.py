@@ -8,7 +8,7 @@ of a kind and depend on no name. The module does not import numpy, so that ``--h
 from __future__ import annotations
 
 import warnings
-from dataclasses import InitVar, dataclass
+from dataclasses import InitVar, dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from tissue_sim.closed_form.homogeneous import ClosedForm
@@ -77,7 +77,10 @@ class TestKind:
         has_lateral_wall: whether rigid walls without friction hold the side of the specimen.
         face, base, shaft: interfaces of the tool's face, of the base and of a needle's shaft.
         sign: sign of strain and nominal stress for positive displacement and force: -1 in compression, 1 in tension.
-        channels: pairs (motion, load); a recording needs one of them. The first is that of the machine.
+        channels: alternatives, each a motion and its load; a recording needs one of them. The first is that of the
+            machine. A kind with several loads lists a motion and a load for each of them, such as (displacement, force,
+            displacement 2, force 2); see `select_load`.
+        load_names: names of the loads, which a campaign appends to the name of the test; empty for one load.
         closed_form: nominal stress of the homogeneous deformation; None if only finite elements give the force.
         size_names: names of the sizes of the specimen.
         title_words: regular expressions of words by which titles and headers of files name the test, in addition to
@@ -104,7 +107,8 @@ class TestKind:
     base: FaceInterface = FaceInterface("bonded", fixed=True)
     shaft: FaceInterface = FaceInterface("frictionless")
     sign: float
-    channels: tuple[tuple[str, str], ...] = (DISPLACEMENT_FORCE,)
+    channels: tuple[tuple[str, ...], ...] = (DISPLACEMENT_FORCE,)
+    load_names: tuple[str, ...] = ()
     closed_form: ClosedForm | None = None
     size_names: SizeNames = SizeNames()
     title_words: tuple[str, ...] = ()
@@ -123,6 +127,10 @@ class TestKind:
         if self.tool is None and self.closed_form is None:
             raise InputError(f"{self.name!r} has neither a tool nor a closed form, so that no model computes its "
                              "force; give one of them", field="tissue_sim.kinds")
+        for names in self.channels:
+            if len(names) != 2 * self.load_count:
+                raise InputError(f"must list a motion and a load for each of {self.load_count} loads; got "
+                                 f"{', '.join(names)}.", field="tissue_sim.kinds.channels")
 
     #: Old names.
     gripped = OldName("has_gripped_ends")
@@ -158,7 +166,33 @@ class TestKind:
     @property
     def strain_name(self) -> str:
         """Name of the result of `convert_abscissa_to_nominal_strain`, for labels of axes."""
+        if self.has_several_motions:
+            return "equivalent strain"
         return "shear strain" if self.loads_in_both_directions else "nominal strain"
+
+    @property
+    def load_count(self) -> int:
+        """Number of loads of a recording that a model predicts."""
+        return len(self.load_names) or 1
+
+    @property
+    def has_several_motions(self) -> bool:
+        """Whether several motions determine each load, as in biaxial tension."""
+        return len(set(self.channels[0][::2])) > 1
+
+    def select_load(self, number: int) -> TestKind:
+        """Return the kind with one of its loads as the first one; the other motions and loads follow in turn.
+
+        A campaign treats each load of a recording as a test of its own, of this kind.
+
+        Args:
+            number: index of the load, from 0.
+        """
+        if self.load_count == 1:
+            return self
+        channels = tuple(names[2 * number:] + names[:2 * number] for names in self.channels)
+        form = None if self.closed_form is None else self.closed_form.select_load(number)
+        return replace(self, channels=channels, closed_form=form)
 
     @property
     def loads_in_both_directions(self) -> bool:
@@ -229,7 +263,7 @@ class TestKind:
         return self.tool
 
     def require_channels(self, present: Any, has: str, **place: Any) -> None:
-        """Require one of the pairs of channels.
+        """Require one of the alternatives of channels.
 
         Args:
             present: names of the channels of a recording.
@@ -237,10 +271,10 @@ class TestKind:
             place: arguments of `InputError`, such as file and line.
 
         Raises:
-            InputError: the recording has none of the pairs.
+            InputError: the recording has none of the alternatives.
         """
-        if not any(set(pair) <= set(present) for pair in self.channels):
-            needs = " or ".join(f"{motion!r} and {load!r}" for motion, load in self.channels)
+        if not any(set(names) <= set(present) for names in self.channels):
+            needs = " or ".join(" and ".join(map(repr, dict.fromkeys(names))) for names in self.channels)
             raise InputError(f"{self.name} needs columns {needs}; {has}", **place)
 
     def experiment(self, *, specimen: Specimen, protocol: Protocol, **overrides: Any) -> Experiment:
