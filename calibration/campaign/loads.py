@@ -46,8 +46,18 @@ def read_motion_and_loads(recording: Recording, test: Test, path: Path) -> Motio
         path: file of the recording, for messages.
 
     Raises:
-        InputError: missing channels, or sizes of the specimen that do not convert them.
+        InputError: missing channels, one of several loads that is zero at all samples, or sizes of the specimen that do
+            not convert the channels.
     """
+    found = _read_motion_and_loads(recording, test, path)
+    if len(found.loads) > 1 and not found.loads[0].any():
+        raise InputError(f"{path.name} must have a load in {test.kind.channels[-1][1]!r}; all samples are 0. Fit the "
+                         "other load by a kind with one load, such as uniaxial_tension", field="recordings")
+    return found
+
+
+def _read_motion_and_loads(recording: Recording, test: Test, path: Path) -> MotionAndLoads:
+    """Return the motion and the loads of a recording; see `read_motion_and_loads`."""
     mechanical, *direct = test.kind.channels
     of_machine = " and ".join(dict.fromkeys(mechanical))
     stated = next((names for names in direct if all(name in recording for name in names)), None)
@@ -118,13 +128,14 @@ def _combine_motions(test: Test, strains: list[np.ndarray], loads: list[np.ndarr
 def combine_loads(displacement: np.ndarray, loads: list[np.ndarray]) -> np.ndarray:
     """Return the load from which the segments of a recording are found, shape (n,).
 
-    It is the load itself, or the root mean square of several loads, each divided by its largest absolute value.
+    It is the load itself, or the root mean square of several loads, each divided by its largest absolute value, times
+    the largest of these values.
     """
     if len(loads) == 1:
         return loads[0]
-    scaled = [load / (float(np.abs(load).max()) or 1.0) for load in loads]
-    size = float(np.abs(loads[0]).max()) or 1.0
-    return size * np.where(displacement < 0, -1.0, 1.0) * np.sqrt(np.mean(np.square(scaled), axis=0))
+    sizes = [float(np.abs(load).max()) for load in loads]
+    scaled = [load / (size or 1.0) for load, size in zip(loads, sizes, strict=True)]
+    return max(sizes) * np.where(displacement < 0, -1.0, 1.0) * np.sqrt(np.mean(np.square(scaled), axis=0))
 
 
 def is_load_against_motion(displacement: np.ndarray, force: np.ndarray, motions: np.ndarray | None,

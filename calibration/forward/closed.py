@@ -327,7 +327,8 @@ class ClosedFormTest:
     @property
     def _supports_homogeneous_history(self) -> bool:
         """Whether `StrainHistory` can compute the stress."""
-        return type(self.closed_form) is ClosedForm and self.closed_form.law_mode in DEFORMATIONS
+        form = self.closed_form
+        return (type(form) is ClosedForm or form.is_first_load_of_mode) and form.law_mode in DEFORMATIONS
 
     def get_homogeneous_history(self, recording: int, offset: float = 0.0) -> StrainHistory:
         """Return the deformation history of the specimen in a recording; cached if the contact offset is 0."""
@@ -336,7 +337,7 @@ class ClosedFormTest:
         measured = self.measured[recording]
         found = StrainHistory(self.closed_form.law_mode, measured.sample_times,
                               self._compute_abscissa(measured.subtract_contact_offset(offset)),
-                              self.largest_step)
+                              self.largest_step, self.kind.has_several_motions)
         if offset == 0.0:
             self._histories[recording] = found
         return found

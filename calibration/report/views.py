@@ -176,17 +176,33 @@ def get_law_trace_or_none(curves: TestCurves, own: bool = False) -> CurveTrace |
     return None if values is None else replace(CurveTrace.from_recording(first), force=values[:, 0], band=values[:, 1])
 
 
+#: Largest difference of two stretches in equal motions, as a fraction of their range.
+_EQUAL_MOTIONS = 0.05
+
+
+def _has_motions_of_first_recording(curves: TestCurves, measured: MeasuredCurve) -> bool:
+    """Return whether a recording has the motions of the first one, along which the model is drawn."""
+    first = curves.measured[0]
+    if measured is first or measured.motions is None or first.motions is None:
+        return True
+    order = np.argsort(first.displacement, kind="stable")
+    expected = np.stack([np.interp(measured.displacement, first.displacement[order], column[order])
+                         for column in first.motions.T], axis=-1)
+    return float(np.abs(measured.motions - expected).max()) <= _EQUAL_MOTIONS * float(np.ptp(first.motions))
+
+
 def interpolate_force_and_bands_or_none(curves: TestCurves, measured: MeasuredCurve) -> np.ndarray | None:
     """Interpolate a law to the samples of a recording, over time if both have time, otherwise over displacement.
 
     Returns:
         Force, half width of the sample band, half width of the curve band, and standard error of the force, N, shape
-        (n, 4); NaN outside the model's motion. None if the abscissa of the model is not monotonic.
+        (n, 4); NaN outside the model's motion. None if the abscissa of the model is not monotonic, or if the recording
+        has other motions than the first one.
     """
     model, samples = curves.displacement, measured.displacement
     if curves.time is not None and measured.time is not None:
         model, samples = curves.time, measured.time
-    if np.any(np.diff(model) < 0):
+    if np.any(np.diff(model) < 0) or not _has_motions_of_first_recording(curves, measured):
         return None
     found = np.stack([np.interp(samples, model, values) for values in (
         curves.force, curves.band, curves.whole_band, curves.force_error)], 1)

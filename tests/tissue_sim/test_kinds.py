@@ -14,7 +14,7 @@ from tissue_sim.recording.recording import CHANNELS
 
 EVERY = pytest.mark.parametrize("name", ts.KINDS)
 HOMOGENEOUS = [name for name, kind in ts.KINDS.items() if kind.closed_form is not None
-               and not kind.closed_form.needs_bulk]
+               and not kind.closed_form.needs_bulk and not kind.has_several_motions]
 
 
 def test_those_with_a_tool_are_the_scenes():

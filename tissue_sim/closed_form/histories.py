@@ -60,6 +60,7 @@ class StrainHistory:
             that is not at rest.
         strain: stretch, or shear strain gamma, shape (n,); both stretches of the mode ``biaxial``: shape (n, 2).
         largest_step: largest change of log(stretch) or shear strain in a step; longer steps are divided.
+        has_first_load_only: whether stresses are those along the first abscissa only, shape (n,).
 
     Raises:
         InputError: another mode, different shapes, values that are not finite, decreasing time, a stretch of 0 or less.
@@ -69,6 +70,7 @@ class StrainHistory:
     time: np.ndarray
     strain: np.ndarray
     largest_step: float = LARGEST_STEP
+    has_first_load_only: bool = False
 
     def __post_init__(self):
         if self.mode not in DEFORMATIONS:
@@ -112,13 +114,19 @@ class StrainHistory:
 
     @cached_property
     def _sample_weights(self) -> np.ndarray:
-        """d(nominal stresses)/d(components of S) at the samples, shape (n, abscissas, components)."""
+        """d(nominal stresses)/d(components of S) at the samples, shape (n, loads, components)."""
         _, strain, samples = self._divided_steps_strains_and_samples
-        return self.deformation.compute_nominal_stress_weights(strain[samples])
+        weights = self.deformation.compute_nominal_stress_weights(strain[samples])
+        return weights[:, :1] if self.has_first_load_only else weights
+
+    @property
+    def _stress_shape(self) -> tuple[int, ...]:
+        """Shape of the stresses at the samples."""
+        return self.time.shape if self.has_first_load_only else self.strain.shape
 
     def nominal_stress(self, law: Law, values, prony: RelaxationSeries | None = None,
                        softening: Softening | None = None, factor: float = 1.0) -> np.ndarray:
-        """Compute the nominal stress at the samples, Pa, shape of `strain`.
+        """Compute the nominal stress at the samples, Pa, shape of `strain`; of the first load only, shape (n,).
 
         Args:
             law: strain energy.
@@ -151,8 +159,8 @@ class StrainHistory:
         weights = self._sample_weights
         relaxing = compute_internal_stress_history_over_g(dt, stress, tau)[samples]
         elastic = np.einsum("nac,nc->na", weights, stress[samples])
-        return elastic.reshape(self.strain.shape), np.einsum("nac,nct->nat", weights, relaxing).reshape(
-            *self.strain.shape, len(tau))
+        return elastic.reshape(self._stress_shape), np.einsum("nac,nct->nat", weights, relaxing).reshape(
+            *self._stress_shape, len(tau))
 
 
 def nominal_stress_history(material: Material, time, stretch, contact_radius: float | None = None) -> np.ndarray:

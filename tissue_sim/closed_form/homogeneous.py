@@ -34,6 +34,8 @@ class ClosedForm:
 
     #: Whether the stress depends on the bulk modulus, so that it is a function of the material and not of the law.
     needs_bulk: ClassVar[bool] = False
+    #: Whether a subclass has the stress along the first abscissa of the mode of the law, with memory too.
+    is_first_load_of_mode: ClassVar[bool] = False
 
     @property
     def has_column(self) -> bool:

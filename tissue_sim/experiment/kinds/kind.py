@@ -316,4 +316,5 @@ KINDS: Registry[TestKind] = Registry("kind of test", "tissue_sim.kinds", {
     "torsion": "tissue_sim.experiment.kinds.torsion:TORSION_TEST",
     "planar_tension": "tissue_sim.experiment.kinds.sheet_tension:PLANAR_TENSION",
     "equibiaxial_tension": "tissue_sim.experiment.kinds.sheet_tension:EQUIBIAXIAL_TENSION",
+    "biaxial_tension": "tissue_sim.experiment.kinds.biaxial_tension:BIAXIAL_TENSION",
 }, accepts=lambda kind: isinstance(kind, TestKind), expected="a tissue_sim.TestKind")

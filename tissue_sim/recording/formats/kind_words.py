@@ -46,11 +46,6 @@ _NOT_HOMOGENEOUS = "not homogeneous: a modulus from total force and displacement
 
 #: The table; each row completes the sentence "<title> is <difference>".
 UNKNOWN_TESTS: tuple[KnownTestWithoutKind, ...] = (
-    KnownTestWithoutKind("biaxial_tension", "biaxial tension", (
-        r"bi ?axial\w*( (tension|tensile|extension|test\w*))?", r"biax\w*", r"zweiachs\w*( zug\w*)?",
-        r"biaxialzug\w*"),
-        "not uniaxial tension: the specimen is loaded along two axes. If both stretches are equal, state "
-        "--kind equibiaxial_tension", short=("bt",)),
     KnownTestWithoutKind("plane_strain_compression", "plane strain compression", (
         r"plane strain( compress\w*)?", r"channel die", r"eben\w* (dehnung\w*|stauch\w*|verzerrung\w*)",
         r"deformation plane"),

@@ -1,0 +1,123 @@
+"""Calibration of biaxial tension: both axes jointly, from stretches and stresses or from displacements and forces."""
+
+import numpy as np
+import pytest
+
+import calibration
+import tissue_sim as ts
+from calibration.campaign.measured import read_measured_curves
+
+LAW = ts.find_law("mooney_rivlin")
+TRUTH = {"C10": 5000.0, "C01": 2000.0}
+TIME = np.linspace(0.0, 10.0, 41)
+#: Stretches along both axes, shape (n, 2).
+STRETCH = np.stack([1.0 + 0.05 * TIME, 1.0 + 0.02 * TIME], axis=-1)
+#: Sides of the sheet along axis 1 and axis 2, and its thickness, m.
+SIDES = (0.020, 0.040, 0.002)
+SHEET = '[[specimen]]\nshape = "block"\nheight_mm = 20.0\nlength_mm = 40.0\nwidth_mm = 2.0\n\n'
+FIT = '[fit]\nlaws = ["mooney_rivlin"]\n'
+
+
+def write(folder, name, stress, stretch=STRETCH, **channels):
+    ts.write_recording(ts.Recording({
+        "stretch": stretch[:, 0], "nominal stress": stress[:, 0], "stretch 2": stretch[:, 1],
+        "nominal stress 2": stress[:, 1], **channels}), folder / f"{name}.csv")
+
+
+def calibrate(folder, text):
+    path = folder / "study.toml"
+    path.write_text(text, encoding="utf-8")
+    return calibration.calibrate([path], folder / "out", figures=False)[0]
+
+
+def make_test(recordings="*.csv", kind="biaxial_tension", more=""):
+    return f'[[test]]\nkind = "{kind}"\nrecordings = ["{recordings}"]\n{more}\n'
+
+
+def test_stretches_and_stresses_give_the_parameters(tmp_path):
+    write(tmp_path, "a", LAW.nominal_stress(STRETCH, TRUTH, "biaxial"), time=TIME)
+    result = calibrate(tmp_path, make_test() + FIT)
+    assert result.best.parameters == pytest.approx(TRUTH, rel=1e-8)
+    assert [test.name for test in result.campaign.tests] == ["biaxial_tension axis 1", "biaxial_tension axis 2"]
+
+
+def test_displacements_and_forces_give_the_parameters(tmp_path):
+    """The force of an axis is its stress times the other side times the thickness."""
+    stress = LAW.nominal_stress(STRETCH, TRUTH, "biaxial")
+    first, second, thickness = SIDES
+    ts.write_recording(ts.Recording({
+        "displacement": (STRETCH[:, 0] - 1.0) * first, "force": stress[:, 0] * second * thickness,
+        "displacement 2": (STRETCH[:, 1] - 1.0) * second, "force 2": stress[:, 1] * first * thickness}),
+        tmp_path / "a.csv")
+    assert calibrate(tmp_path, SHEET + make_test() + FIT).best.parameters == pytest.approx(TRUTH, rel=1e-8)
+    with pytest.raises(ts.InputError, match="must be a block with height_mm along axis 1"):
+        calibrate(tmp_path, '[[specimen]]\nshape = "prism"\narea_mm2 = 80.0\nheight_mm = 20.0\n\n' + make_test() + FIT)
+
+
+@pytest.mark.parametrize("method", ["analytical", "inverse_fem"])
+def test_axes_and_other_kinds_are_fitted_jointly(tmp_path, method):
+    """Both axes and a uniaxial test have noise; the parameters lie within four standard errors."""
+    noise = np.random.default_rng(5)
+    stress = LAW.nominal_stress(STRETCH, TRUTH, "biaxial")
+    write(tmp_path, "a_sheet", stress + noise.normal(0.0, 20.0, stress.shape), time=TIME)
+    ts.write_recording(ts.Recording({"time": TIME, "stretch": STRETCH[:, 0], "nominal stress": LAW.nominal_stress(
+        STRETCH[:, 0], TRUTH) + noise.normal(0.0, 20.0, TIME.size)}), tmp_path / "strip.csv")
+    result = calibrate(tmp_path, make_test("a_*.csv") + make_test("strip.csv", "uniaxial_tension") + FIT
+                       + f'method = "{method}"\n\n[noise]\nnominal_stress_Pa = 20.0\n')
+    best = result.best
+    for name, value in TRUTH.items():
+        assert abs(best.parameters[name] - value) < 4.0 * best.standard_errors[name] < 0.1 * value
+
+
+def test_relaxation_of_both_axes(tmp_path):
+    """Axis 2 is stretched first and then held, so that its stress depends on the motion of axis 1."""
+    material = ts.Material("neo_hooke", {"C10": 5000.0}, viscoelastic=ts.Prony((ts.PronyTerm(0.4, 2.0),)))
+    stretch = np.stack([1.0 + 0.3 * np.clip(TIME - 3.0, 0.0, 2.0), 1.0 + 0.2 * np.clip(TIME, 0.0, 2.0)], axis=-1)
+    kind = ts.KINDS["biaxial_tension"]
+    stress = np.stack([kind.select_load(axis).require_closed_form().stress_history(
+        material, TIME, stretch[:, ::1 - 2 * axis], 0.01) for axis in (0, 1)], axis=-1)
+    write(tmp_path, "a", stress, stretch, time=TIME)
+    result = calibrate(tmp_path, make_test() + '[fit]\nlaws = ["neo_hooke"]\nstart = { "viscoelastic.terms[0].g" = 0.3,'
+                       ' "viscoelastic.terms[0].tau" = 1.0 }\n')
+    assert list(result.best.parameters.values()) == pytest.approx([5000.0, 0.4, 2.0], rel=1e-5)
+
+
+def test_table_without_time_is_fitted_completely(tmp_path):
+    """Series of one stretch with a varying other one, as Kawabata measured, are neither cycles nor unloading."""
+    stretch = np.array([(l1, l2) for l1 in (1.1, 1.2, 1.4, 1.7, 2.0)
+                        for l2 in np.linspace(l1**-0.5, l1, 6)])
+    write(tmp_path, "a", LAW.nominal_stress(stretch, TRUTH, "biaxial"), stretch)
+    result = calibrate(tmp_path, make_test() + FIT)
+    measured = read_measured_curves(calibration.load_campaign(tmp_path / "study.toml"))
+    assert [curve.force.size for curves in measured.values() for curve in curves] == [30, 30]
+    assert result.best.parameters == pytest.approx(TRUTH, rel=1e-8)
+
+
+def test_uniaxial_test_of_a_biaxial_machine(tmp_path):
+    """The noise of the second load has no sign. A second load of zero is not a measurement."""
+    stretch = np.stack([STRETCH[:, 0], STRETCH[:, 0]**-0.5], axis=-1)
+    stress = LAW.nominal_stress(stretch, TRUTH, "biaxial")
+    stress[:, 1] = np.random.default_rng(4).normal(0.0, 10.0, TIME.size)
+    write(tmp_path, "a", stress, stretch, time=TIME)
+    assert calibrate(tmp_path, make_test() + FIT).best.parameters == pytest.approx(TRUTH, rel=0.02)
+    stress[:, 1] = 0.0
+    write(tmp_path, "a", stress, stretch, time=TIME)
+    with pytest.raises(ts.InputError, match=r"a\.csv must have a load in 'nominal stress 2'; all samples are 0"):
+        calibrate(tmp_path, make_test() + FIT)
+
+
+def test_what_is_wrong_is_refused(tmp_path):
+    stress = LAW.nominal_stress(STRETCH, TRUTH, "biaxial")
+    write(tmp_path, "a", stress * [1.0, -1.0], time=TIME)
+    with pytest.raises(ts.InputError, match=r"a\.csv has a force or stress of the wrong sign"):
+        calibrate(tmp_path, make_test() + FIT)
+    write(tmp_path, "a", stress, time=TIME)
+    with pytest.raises(ts.InputError, match="strain_points must be left out, because several motions"):
+        calibrate(tmp_path, make_test() + FIT + "strain_points = 10\n")
+    write(tmp_path, "a", stress, STRETCH - [0.0, 1.1], time=TIME)
+    with pytest.raises(ts.InputError, match=r"stretch must be above zero; got -0\.1 in sample 1"):
+        calibrate(tmp_path, make_test() + FIT)
+    ts.write_recording(ts.Recording({"stretch": STRETCH[:, 0], "nominal stress": stress[:, 0]}), tmp_path / "a.csv")
+    with pytest.raises(ts.InputError, match=r"biaxial_tension needs columns .* or 'stretch' and 'nominal stress' and "
+                                            "'stretch 2' and 'nominal stress 2'; this file has stretch"):
+        calibrate(tmp_path, make_test() + FIT)
