@@ -33,6 +33,7 @@ from calibration.statistics.sensor_noise import SensorNoise, estimate_pooled_sen
 from calibration.statistics.statistics import estimate_white_noise, find_quantisation_step
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
+from tissue_sim.experiment.protocol_waves import WAVE_KINDS
 from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
@@ -105,7 +106,7 @@ def require_matching_specimen_metadata(recording: Recording, test: Test, campaig
 
 
 #: Segments that are not part of the first loading; an elastic law is not fitted to them.
-NOT_LOADING = ("approach", "preconditioning", "hold", "unload", "reload", "retract")
+NOT_LOADING = ("approach", "preconditioning", "hold", "unload", "reload", "retract", *WAVE_KINDS)
 #: Loading ends when this fraction of the largest displacement is reached.
 LOADED = 0.98
 #: Largest relative difference between replicates of one test in speed and in largest displacement.

@@ -208,8 +208,9 @@ class Protocol:
         A moving segment has `points` samples at equal distances of displacement or force, with its start. A hold holds
         the quantity that the segment before it prescribes. The time steps of a hold grow by
         `HoldTimeStepSettings.growth`, from the last time step of the motion before (at most
-        `HoldTimeStepSettings.largest_first` of the hold), and are scaled so that the last one ends the hold. A sample
-        where two segments meet belongs to the first of them.
+        `HoldTimeStepSettings.largest_first` of the hold), and are scaled so that the last one ends the hold. A cycle of
+        a sinusoid has at least `tissue_sim.experiment.protocol_waves.SAMPLES_PER_CYCLE` samples, or `points`, at equal
+        steps of the phase. A sample where two segments meet belongs to the first of them.
 
         Args:
             text: segments; see `tissue_sim.experiment.protocol_text.parse_protocol`.
@@ -288,8 +289,10 @@ def _sample_segments(before: Protocol | None, segments: Iterator[ProtocolSegment
     def append_samples(leg: MotionLeg, values: np.ndarray, times: np.ndarray) -> None:
         """Append samples of a leg."""
         other = DISPLACEMENT if leg.control == FORCE else FORCE
+        count = 1 if leg.wave is None else leg.wave.cycles
+        cycles = leg.cycle + np.arange(values.size) * count // values.size
         for name, new in ((leg.control, values.tolist()), (other, [math.nan] * values.size), ("time", times.tolist()),
-                          ("segment", [leg.segment.kind] * values.size), ("cycle", [leg.cycle] * values.size)):
+                          ("segment", [leg.segment.kind] * values.size), ("cycle", cycles.tolist())):
             columns[name] += new
 
     remaining = None
@@ -317,7 +320,7 @@ def _sample_leg_values_and_times(leg: MotionLeg, now: float, points: int,
     """Return displacements or forces, and times, of the samples of a leg, without the sample at its start.
 
     Args:
-        leg: straight line of displacement or force against time.
+        leg: displacement or force against time.
         now: time at the start of the leg, s.
         points: number of samples of a moving leg, with its start.
         step: time step of the motion before, s.
@@ -328,7 +331,13 @@ def _sample_leg_values_and_times(leg: MotionLeg, now: float, points: int,
     position = leg.segment.position
     if not math.isfinite(now + leg.duration):
         raise make_protocol_error(position, f"the end time of this {leg.segment.kind} is not finite; correct its speed")
-    if leg.speed:
+    if leg.wave is not None:
+        if leg.wave.compute_sample_count(points) > MOST_SAMPLES:
+            raise make_protocol_error(position, f"this {leg.segment.kind} has more than {MOST_SAMPLES} samples; use "
+                                      "fewer cycles or points")
+        sine, since = leg.wave.compute_samples(points)
+        samples = leg.start + leg.amplitude * sine
+    elif leg.speed:
         samples = np.linspace(leg.start, leg.end, points)[1:]
         since = np.abs(samples - leg.start) / leg.speed
     else:

@@ -1,4 +1,4 @@
-"""Legs of a protocol: parts in which the prescribed displacement or force is linear in time."""
+"""Legs of a protocol: parts in which the prescribed displacement or force is linear in time or sinusoidal."""
 
 from __future__ import annotations
 
@@ -14,19 +14,23 @@ from tissue_sim.experiment.protocol_text import (
     ProtocolSegment,
     make_protocol_error,
 )
+from tissue_sim.experiment.protocol_waves import WAVE_KINDS, Wave
 
 
 @dataclass(frozen=True)
 class MotionLeg:
-    """Part of a protocol in which the displacement or the force is linear in time.
+    """Part of a protocol in which the displacement or the force is linear in time or sinusoidal.
 
     Attributes:
         segment: segment that the leg belongs to.
         start, end: tool displacement, m, negative above the touch; or force, N.
-        speed: m/s or N/s; 0 in a hold.
+        speed: m/s or N/s; 0 in a hold; the largest speed of a sinusoid.
         duration: s.
-        cycle: number of the load cycle, from 1; a cycle begins where the tool turns into the tissue again.
+        cycle: number of the load cycle, from 1; a cycle begins where the tool turns into the tissue again. Each cycle
+            of a sinusoid is a load cycle; the number is that of the first one.
         control: prescribed quantity.
+        amplitude: of a sinusoid about `start`, m or N.
+        wave: sinusoid; None: the leg is straight.
     """
 
     segment: ProtocolSegment
@@ -36,6 +40,8 @@ class MotionLeg:
     duration: float
     cycle: int
     control: Control = DISPLACEMENT
+    amplitude: float = 0.0
+    wave: Wave | None = None
 
 
 #: Displacement, m, and force, N, at the first touch.
@@ -75,7 +81,7 @@ def iterate_motion_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed
 
     Raises:
         InputError: a segment that cannot follow the one before, such as an unload at the touch; a segment that
-            prescribes a force.
+            prescribes a force, or a sinusoid.
     """
     state = LoadingState({DISPLACEMENT: speed})
     for segment in iterate_segments_with_repeats(steps):
@@ -83,6 +89,9 @@ def iterate_motion_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed
         if leg is None or leg.control == FORCE:
             raise make_protocol_error(segment.position, f"segments must prescribe displacements here; got a "
                                       f"{segment.kind} that prescribes a force. State lengths such as 10mm")
+        if leg.wave is not None:
+            raise make_protocol_error(segment.position, "segments must be straight here, because the machine moves at "
+                                      f"constant speeds; got a {segment.kind}. Write ramps and unloads")
         yield leg
 
 
@@ -116,7 +125,14 @@ def make_leg_or_none(segment: ProtocolSegment, state: LoadingState) -> tuple[Mot
     cycle, is_withdrawn = state.cycle, state.is_withdrawn
     if end > here and is_withdrawn:
         cycle, is_withdrawn = cycle + 1, False
-    if segment.kind == "hold":
+    amplitude = 0.0
+    if segment.wave is not None:
+        wave, amplitude = segment.wave, segment.amount or 0.0
+        cycle, is_withdrawn = cycle + is_withdrawn, True
+        fastest = 2.0 * math.pi * amplitude * max(wave.frequency, wave.end_frequency or 0.0)
+        leg = MotionLeg(segment, here, here, fastest, wave.duration, cycle, control, amplitude, wave)
+        cycle += wave.cycles - 1
+    elif segment.kind == "hold":
         leg = MotionLeg(segment, here, end, 0.0, segment.amount or 0.0, cycle, control)
     elif control in state.speed:
         speed = state.speed[control]
@@ -124,8 +140,9 @@ def make_leg_or_none(segment: ProtocolSegment, state: LoadingState) -> tuple[Mot
     else:
         raise make_protocol_error(segment.position, f"the first {segment.kind} that prescribes a force needs a loading "
                                   "rate, such as ramp 2N @0.5N/s")
-    known, most = {control: end}, {control: max(largest, end)}
-    if control == DISPLACEMENT and here <= end <= 0.0 and largest <= 0.0 and FORCE in state.here:
+    highest = max(largest, end + amplitude)
+    known, most = {control: end}, {control: highest}
+    if control == DISPLACEMENT and here <= end <= 0.0 and highest <= 0.0 and FORCE in state.here:
         # The tool has not touched the specimen yet.
         known[FORCE], most[FORCE] = state.here[FORCE], state.largest[FORCE]
     return leg, LoadingState(state.speed, known, most, control, cycle, is_withdrawn or end < here, True)
@@ -150,9 +167,9 @@ def _find_end(segment: ProtocolSegment, here: float, largest: float, control: Co
     """
     kind, amount, is_force = segment.kind, segment.amount, control == FORCE
     now = f"the force is {_format_force(here)}" if is_force else f"the tool is at {_format_mm(here)}"
+    if kind == "hold" or kind in WAVE_KINDS:
+        return here
     match kind:
-        case "hold":
-            return here
         case "approach":
             if here >= 0 or (amount is not None and not math.isclose(amount, -here, rel_tol=1e-9)):
                 height = "above the touch" if amount is None else f"{_format_mm(amount)} above the touch"

@@ -1,7 +1,7 @@
 """Segments of a protocol, and their text.
 
-The text of a protocol is ``approach 2mm; repeat 3 (ramp 10mm @0.248mm/s; unload); hold 60s``, or with prescribed force
-``ramp 2N @0.5N/s; hold 60s; unload``.
+The text of a protocol is ``approach 2mm; repeat 3 (ramp 10mm @0.248mm/s; unload); hold 60s``, with prescribed force
+``ramp 2N @0.5N/s; hold 60s; unload``, or with an oscillation ``ramp 2mm; sine 0.1mm @1Hz for 10 cycles``.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ from decimal import Decimal
 from typing import Any, Final, Literal
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
+from tissue_sim.experiment.protocol_waves import CHIRP, SINE, WAVE_KINDS, Spacing, Wave, make_sweep_values
 from tissue_sim.public_names import make_getattr_for_old_names
 
 #: Segment -> quantity of its number, and whether the number is required. A `length` of `LOADING_KINDS` may be a force.
@@ -40,17 +41,19 @@ class ProtocolSegment:
     """One segment of a protocol.
 
     Attributes:
-        kind: a name in `KINDS`.
+        kind: a name in `KINDS`, or in `tissue_sim.experiment.protocol_waves.WAVE_KINDS`.
         amount: displacement, m, or force, N, at which ramp, unload and reload end; s for a hold; height above the
-            touch, m, at which approach starts and retract ends. None: unload to zero, reload to the largest value so
-            far.
+            touch, m, at which approach starts and retract ends; amplitude of a sinusoid, m or N. None: unload to zero,
+            reload to the largest value so far.
         speed: m/s or N/s; None: that of the last segment with the same control.
         position: position in the text, for messages.
         control: quantity that the segment prescribes. None: in a hold, and in an unload or reload without amount and
             speed, that of the segment before; in every other segment the displacement.
+        wave: frequency and cycles of a sinusoid; None: a straight segment.
 
     Raises:
-        InputError: a hold with a control, or an approach or retract with another control than displacement.
+        InputError: a hold with a control, an approach or retract with another control than displacement, or a sinusoid
+            without amplitude or `wave`.
     """
 
     kind: str
@@ -58,9 +61,15 @@ class ProtocolSegment:
     speed: float | None = None
     position: str = field(default="", compare=False)
     control: Control | None = None
+    wave: Wave | None = None
 
     def __post_init__(self):
-        if self.kind == "hold":
+        if (self.kind in WAVE_KINDS) != (self.wave is not None and self.amount is not None):
+            raise make_protocol_error(self.position, f"{' and '.join(WAVE_KINDS)} need an amplitude and a wave, and "
+                                      f"other segments have no wave; got {self.kind}")
+        if self.kind in WAVE_KINDS:
+            object.__setattr__(self, "control", self.control or DISPLACEMENT)
+        elif self.kind == "hold":
             if self.control is not None:
                 raise make_protocol_error(self.position, "a hold keeps the control of the segment before it; leave "
                                           "control out")
@@ -105,9 +114,11 @@ _UNITS: dict[str, dict[str, tuple[str, str]]] = {
     "time": {unit: (factor, "1") for unit, factor in _TIMES.items()},
     "speed": _make_rate_units(_LENGTHS),
     "loading rate": _make_rate_units(_FORCES),
+    "frequency": {"Hz": ("1", "1"), "mHz": ("0.001", "1"), "kHz": ("1000", "1")},
 }
 #: Quantity -> example for messages.
-_EXAMPLES = {"length": "10mm", "force": "2N", "time": "60s", "speed": "0.248mm/s", "loading rate": "0.5N/s"}
+_EXAMPLES = {"length": "10mm", "force": "2N", "time": "60s", "speed": "0.248mm/s", "loading rate": "0.5N/s",
+             "frequency": "1Hz"}
 #: Quantity of an amount or of a speed -> control of its segment.
 _CONTROLS: dict[str, Control] = {"length": DISPLACEMENT, "speed": DISPLACEMENT, "force": FORCE, "loading rate": FORCE}
 #: Control -> quantity of the speed.
@@ -117,6 +128,10 @@ _NAMED_UNITS = 6
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
 _WORD = re.compile(r"[^\W\d_]+(?:/[^\W\d_]+)?")
 _BLANKS = re.compile(r"\s*")
+#: Largest number of repetitions, cycles or steps.
+_MOST_COUNTED = 1e9
+#: Largest number of steps of a sweep.
+_MOST_STEPS = 1000
 #: Largest number of characters of the text that a message quotes.
 _QUOTED = 16
 
@@ -127,6 +142,11 @@ def parse_protocol(text: str) -> tuple[ProtocolSegment | ProtocolRepeat, ...]:
     Segments are separated by ``;``, and ``repeat N ( ... )`` repeats the segments in its brackets N times. A segment is
     a word of `KINDS`, a length (mm, um, m) or a force (N, mN, kN), for a hold a time (s, ms, min, h); ``@`` with a
     speed, such as mm/s or mm/min, or with a loading rate, such as N/s or N/min, may follow, except in a hold.
+
+    ``sine 0.1mm @2Hz for 10 cycles`` oscillates about the present displacement, or with an amplitude in N about the
+    present force. ``to`` makes a sweep of the frequency, ``sine 0.1mm @0.1Hz to 10Hz in 5 steps for 10 cycles``, or of
+    the amplitude, ``sine 0.1mm to 1mm in 4 steps @1Hz for 5 cycles``; the steps have equal ratios. ``chirp 0.1mm @0.1Hz
+    to 10Hz for 60s`` changes the frequency continuously; ``linear`` at its end makes it linear in time.
 
     Raises:
         InputError: a syntax error, with its position (column, and line if there are several) and an example.
@@ -146,6 +166,12 @@ def _format_segment(segment: ProtocolSegment) -> str:
         return f"{Decimal(repr(float(value))) * 1000:g}mm" if unit == "mm" else f"{float(value)!r}{unit}"
 
     unit = "N" if segment.control == FORCE else "mm"
+    if segment.wave is not None and segment.amount is not None:
+        wave, text = segment.wave, f"{segment.kind} {format_value(segment.amount, unit)} @{segment.wave.frequency!r}Hz"
+        if wave.end_frequency is None:
+            return f"{text} for {wave.cycles} cycles"
+        linear = " linear" if wave.spacing == "linear" else ""
+        return f"{text} to {wave.end_frequency!r}Hz for {wave.duration!r}s{linear}"
     amount = "" if segment.amount is None else \
         f" {format_value(segment.amount, 's' if KINDS[segment.kind][0] == 'time' else unit)}"
     return f"{segment.kind}{amount}{'' if segment.speed is None else f' @{format_value(segment.speed, unit)}/s'}"
@@ -170,30 +196,32 @@ class _ProtocolParser:
         while True:
             if steps and self.is_at_end_or_closing_bracket():
                 return tuple(steps)
-            steps.append(self.read_step(repeated))
+            steps += self.read_step(repeated)
             if self.is_at_end_or_closing_bracket():
                 return tuple(steps)
             if not self.match_symbol_and_advance(";"):
                 raise self._make_error(self.at, "expected ';' between two segments")
 
-    def read_step(self, repeated: bool) -> ProtocolSegment | ProtocolRepeat:
-        """Read a segment or a repeat; `repeated`: inside a repeat, where no other repeat is allowed."""
+    def read_step(self, repeated: bool) -> Sequence[ProtocolSegment | ProtocolRepeat]:
+        """Read a segment, the segments of a sweep, or a repeat; `repeated`: inside a repeat, which has no other."""
         self.skip_blanks()
         start = self.at
         word = self.match_text_or_none_and_advance(_WORD)
+        if word in WAVE_KINDS:
+            return self.read_waves(start, word)
         if word != "repeat":
-            return self.read_segment(start, word)
+            return [self.read_segment(start, word)]
         if repeated:
             raise self._make_error(start, "a repeat must not be inside of another repeat; write one of them out")
-        return self.read_repeat(start)
+        return [self.read_repeat(start)]
 
     def read_segment(self, start: int, word: str | None) -> ProtocolSegment:
         """Read amount and speed of a segment; its first word `word` begins at index `start` of the text."""
         if word is None:
-            raise self._make_error(start, f"expected a segment, one of {', '.join(KINDS)} or repeat")
+            raise self._make_error(start, f"expected a segment, one of {', '.join((*KINDS, *WAVE_KINDS))} or repeat")
         if word not in KINDS:
             raise self._make_error(start, f"unknown segment {_quote_shortened_text(word)}"
-                                   f"{make_hint_with_similar_or_known_words(word, (*KINDS, 'repeat'))}")
+                                   f"{make_hint_with_similar_or_known_words(word, (*KINDS, *WAVE_KINDS, 'repeat'))}")
         quantity, needed = KINDS[word]
         quantities = (quantity, "force") if word in LOADING_KINDS else (quantity,)
         amount, quantity = self.read_amount_or_none(quantities, needed=needed, zero=word == "unload", after=word)
@@ -208,21 +236,80 @@ class _ProtocolParser:
             control = _CONTROLS[rate]
         return ProtocolSegment(word, amount, speed, self.describe_line_and_column(start), control)
 
-    def read_repeat(self, start: int) -> ProtocolRepeat:
-        """Read number and segments of a repeat; its word ``repeat`` begins at index `start` of the text."""
+    def read_waves(self, start: int, word: str) -> list[ProtocolSegment]:
+        """Read a chirp, or the sinusoids of a sweep; the first word `word` begins at index `start` of the text."""
+        amplitudes, quantity = self.read_swept_values(("length", "force"), after=word)
+        if not self.match_symbol_and_advance("@"):
+            raise self._make_error(self.at, f"expected '@' and a frequency after the amplitude of a {word}, such as "
+                                   "@1Hz")
+        example = "as in sine 0.1mm @1Hz for 10 cycles" if word == SINE else "as in chirp 0.1mm @0.1Hz to 10Hz for 60s"
+        waves: list[Wave]
+        if word == CHIRP:
+            first, _ = self.read_amount_or_none(("frequency",), needed=True, zero=False, after="@")
+            self.require_word("to", f"a chirp needs its last frequency, {example}")
+            last, _ = self.read_amount_or_none(("frequency",), needed=True, zero=False, after="to")
+            self.require_word("for", f"a chirp needs its duration, {example}")
+            duration, _ = self.read_amount_or_none(("time",), needed=True, zero=False, after="for")
+            spacing: Spacing = "linear" if self.match_word_and_advance("linear") else "logarithmic"
+            waves = [Wave.make_chirp(first or 0.0, last or 0.0, duration or 0.0, spacing)]
+        else:
+            frequencies, _ = self.read_swept_values(("frequency",), after="@")
+            self.require_word("for", f"a sine needs its number of cycles, {example}")
+            cycles = self.read_count(f"cycles, an integer of at least 1, {example}", _MOST_COUNTED)
+            self.require_word("cycles", f"a sine needs the word cycles after their number, {example}", "cycle")
+            waves = [Wave(frequency, cycles) for frequency in frequencies]
+        if min(len(amplitudes), len(waves)) > 1 or (len(amplitudes) > 1 and word == CHIRP):
+            raise self._make_error(start, "a segment must sweep the amplitude or the frequency; got both. Write one "
+                                   "segment for each amplitude")
+        position, control = self.describe_line_and_column(start), _CONTROLS[quantity]
+        return [ProtocolSegment(word, amplitude, None, position, control, wave) for amplitude in amplitudes
+                for wave in waves]
+
+    def read_swept_values(self, quantities: tuple[str, ...], *, after: str) -> tuple[list[float], str]:
+        """Read one value, or the first and last value of a sweep and the number of its steps; return the quantity."""
+        first, quantity = self.read_amount_or_none(quantities, needed=True, zero=False, after=after)
+        if not self.match_word_and_advance("to"):
+            return [first or 0.0], quantity
+        last, _ = self.read_amount_or_none((quantity,), needed=True, zero=False, after="to")
+        example = "as in @0.1Hz to 10Hz in 5 steps"
+        self.require_word("in", f"a sweep needs its number of steps, {example}")
+        count = self.read_count(f"steps, an integer from 2 to {_MOST_STEPS}, {example}", _MOST_STEPS, 2)
+        self.require_word("steps", f"a sweep needs the word steps after their number, {example}")
+        return make_sweep_values(first or 0.0, last or 0.0, count), quantity
+
+    def require_word(self, word: str, problem: str, other: str | None = None) -> None:
+        """Read a word, or another form of the word; raise an error with a problem for any other text."""
+        if not (self.match_word_and_advance(word) or self.match_word_and_advance(other or word)):
+            raise self._make_error(self.at, problem)
+
+    def match_word_and_advance(self, word: str) -> bool:
+        """Return whether the text continues with a word, and move past the word."""
+        self.skip_blanks()
+        at = self.at
+        found = self.match_text_or_none_and_advance(_WORD) == word
+        self.at = self.at if found else at
+        return found
+
+    def read_count(self, expected: str, largest: float, smallest: int = 1) -> int:
+        """Read an integer of a range; `expected` describes the integer in the message."""
         self.skip_blanks()
         at = self.at
         count = self.match_text_or_none_and_advance(_NUMBER)
-        if count is None or not count.isdecimal() or not 1 <= float(count) <= 1e9:
-            raise self._make_error(at, "expected the number of repetitions, an integer of at least 1, as in repeat 3 "
-                                   "(ramp 5mm; unload)")
+        if count is None or not count.isdecimal() or not smallest <= float(count) <= largest:
+            raise self._make_error(at, f"expected the number of {expected}")
+        return int(count)
+
+    def read_repeat(self, start: int) -> ProtocolRepeat:
+        """Read number and segments of a repeat; its word ``repeat`` begins at index `start` of the text."""
+        count = self.read_count("repetitions, an integer of at least 1, as in repeat 3 (ramp 5mm; unload)",
+                                _MOST_COUNTED)
         if not self.match_symbol_and_advance("("):
             raise self._make_error(self.at, "expected the repeated segments in brackets, as in repeat 3 (ramp 5mm; "
                                    "unload)")
         segments = self.read_steps(repeated=True)
         if not self.match_symbol_and_advance(")"):
             raise self._make_error(start, "the brackets of this repeat are not closed; add ')'")
-        return ProtocolRepeat(int(count), segments)
+        return ProtocolRepeat(count, segments)
 
     def read_amount_or_none(self, quantities: tuple[str, ...], *, needed: bool, zero: bool,
                             after: str) -> tuple[float | None, str]:
