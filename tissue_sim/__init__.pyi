@@ -7,6 +7,7 @@ from tissue_sim.closed_form.creep import shear_strain_history as shear_strain_hi
 from tissue_sim.closed_form.creep import stretch_history as stretch_history
 from tissue_sim.closed_form.histories import nominal_stress_history as nominal_stress_history
 from tissue_sim.closed_form.histories import shear_stress_history as shear_stress_history
+from tissue_sim.closed_form.oscillation import complex_modulus as complex_modulus
 from tissue_sim.differentiation import Sensitivities as Sensitivities
 from tissue_sim.differentiation import sensitivities as sensitivities
 from tissue_sim.errors import ConvergenceError as ConvergenceError

@@ -61,6 +61,16 @@ class ConfinedForm(ClosedForm):
         isochoric = super().stress_history(material, time, abscissa, contact_radius)
         return isochoric + bulk_modulus * (np.asarray(abscissa, dtype=float) - 1.0)
 
+    def complex_modulus(self, material: Material, frequency: np.ndarray, abscissa: float | None = None,
+                        contact_radius: float | None = None) -> np.ndarray:
+        """Return the complex modulus, Pa, with the bulk modulus, which does not relax; see the base class.
+
+        Raises:
+            InputError: as in `stress_history`, or an invalid frequency or stretch.
+        """
+        isochoric = super().complex_modulus(material, frequency, abscissa, contact_radius)
+        return isochoric + self._require_bulk_modulus(material)
+
     def strain_history(self, material: Material, time: np.ndarray, nominal_stress: np.ndarray,
                        contact_radius: float) -> np.ndarray:
         """Return the stretch under a prescribed stress, shape (n,); see `ClosedForm.strain_history`.

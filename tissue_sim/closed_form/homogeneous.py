@@ -105,6 +105,23 @@ class ClosedForm:
 
         return compute_stress_history(self.law_mode, material, time, abscissa, contact_radius)
 
+    def complex_modulus(self, material: Material, frequency: np.ndarray, abscissa: float | None = None,
+                        contact_radius: float | None = None) -> np.ndarray:
+        """Return storage modulus + i loss modulus of small oscillations, Pa, complex, shape (n,).
+
+        Args:
+            material: the material.
+            frequency: Hz, shape (n,).
+            abscissa: stretch or shear strain about which the specimen oscillates, fully relaxed; None: undeformed.
+            contact_radius: m, for the time of drainage.
+
+        Raises:
+            InputError: see `tissue_sim.complex_modulus`.
+        """
+        from tissue_sim.closed_form.oscillation import complex_modulus
+
+        return complex_modulus(material, frequency, self.law_mode, abscissa, contact_radius)
+
     def strain_history(self, material: Material, time: np.ndarray, nominal_stress: np.ndarray,
                        contact_radius: float) -> np.ndarray:
         """Return stretch or shear strain of a test with a prescribed nominal stress: the inverse of `stress_history`.

@@ -73,6 +73,15 @@ class TorsionForm(ClosedForm):
         history = super().stress_history
         return self._average(lambda shear: history(material, time, shear, contact_radius), abscissa, 2)
 
+    def complex_modulus(self, material: Material, frequency: np.ndarray, abscissa: float | None = None,
+                        contact_radius: float | None = None) -> np.ndarray:
+        """Return the complex modulus of 2 M / (pi a^3) over the shear strain at the rim, Pa; see the base class."""
+        import numpy as np
+
+        at_shear = super().complex_modulus
+        return self._average(lambda shear: at_shear(material, frequency, float(shear), contact_radius),
+                             np.array(abscissa or 0.0), 3)
+
     def strain_history(self, material: Material, time: np.ndarray, nominal_stress: np.ndarray,
                        contact_radius: float) -> np.ndarray:
         """Raise an `InputError`: creep under a torque is not implemented, because the strain varies with the radius."""

@@ -164,6 +164,11 @@ class FractionalZener:
         """Return G(t) / G(0) of the model itself, without the error of the series, at `time` s, shape of `time`."""
         return 1.0 - self.g + self.g * evaluate_mittag_leffler(self.alpha, (np.asarray(time) / self.tau)**self.alpha)
 
+    def compute_relative_complex_modulus(self, frequency) -> np.ndarray:
+        """Return G*/G(0) = 1 - g / (1 + (i omega tau)^alpha) of the model itself at `frequency` Hz, complex."""
+        omega = 2.0 * np.pi * np.asarray(frequency, dtype=float)
+        return 1.0 - self.g / (1.0 + (1j * omega * self.tau)**self.alpha)
+
     def describe_expansion(self) -> str:
         """Return a sentence with the number of terms of the series, the window, and the error in the window."""
         return (f"A Prony series of {self.term_count} terms represents the fractional Zener model from "
@@ -238,6 +243,15 @@ class FractionalRelaxation(RelaxationSeries):
     def describe_or_none(series: RelaxationSeries | None) -> str | None:
         """Return `FractionalZener.describe_expansion` of a relaxation of this class; None for another."""
         return series.fractional_zener.describe_expansion() if isinstance(series, FractionalRelaxation) else None
+
+    def require_represented_frequencies(self, frequency: np.ndarray) -> None:
+        """Raise an `InputError` for a frequency, Hz, with 1 / omega outside of the time window of the model."""
+        model, times = self.fractional_zener, 1.0 / (2.0 * np.pi * np.asarray(frequency))
+        if (times < model.shortest).any() or (times > model.longest).any():
+            low, high = 1.0 / (2.0 * np.pi * model.longest), 1.0 / (2.0 * np.pi * model.shortest)
+            raise InputError(f"must be {low:.3g} to {high:.3g} Hz, where the series represents the fractional Zener "
+                             f"model; got {np.min(frequency):.3g} to {np.max(frequency):.3g} Hz. Widen its time window",
+                             field="frequency")
 
     def __post_init__(self):
         object.__setattr__(self, "terms", self.fractional_zener.terms)

@@ -85,6 +85,17 @@ class RelaxationSeries:
         relaxed = -np.expm1(-np.asarray(time, dtype=float)[..., None] / self.tau)
         return 1.0 - relaxed @ self.g
 
+    def compute_relative_complex_modulus(self, frequency) -> np.ndarray:
+        """Return complex modulus over instantaneous modulus at `frequency` Hz, complex, shape of `frequency`.
+
+        The value is 1 - sum g_i / (1 + i omega tau_i) with omega = 2 pi frequency.
+        """
+        omega = 2.0 * np.pi * np.asarray(frequency, dtype=float)[..., None]
+        return 1.0 - (1.0 / (1.0 + 1j * omega * self.tau)) @ self.g
+
+    def require_represented_frequencies(self, frequency: np.ndarray) -> None:
+        """Raise an `InputError` for frequencies, Hz, at which the terms do not represent the relaxation; none here."""
+
     def compute_recursion_coefficients(self, dt) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Compute the coefficients of Q_i^{n+1} = decay_i Q_i^n + gain_i (S^{n+1} - S^n), exact for S linear in time.
 
