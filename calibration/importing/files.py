@@ -55,6 +55,7 @@ from tissue_sim.recording.formats.guesses import FileInterpretation, KindGuess, 
 from tissue_sim.recording.formats.sizes import SizeOrSpeedInMillimetres, make_size_signature
 from tissue_sim.recording.formats.understanding import interpret_file
 from tissue_sim.recording.recording import SIZE_DEPENDENT
+from tissue_sim.recording.screening import VISCOELASTIC_REMEDY
 from tissue_sim.settings import make_shallow_read_only_copy
 
 
@@ -273,8 +274,9 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
         [copy_with_question_on_contradicting_sizes(copy_interpretation_with_size_assumptions(each, wishes), wishes)
          for each in _interpret_files(paths, wishes)])
     controlled = wishes.test.get("control")
-    parts = [ReplicateFile(each, reading, tuple(analyse_recorded_motion(recording, reading.kind.kind, controlled)
-                                                for recording in reading.recordings))
+    parts = [ReplicateFile(each, reading, tuple(
+        analyse_recorded_motion(recording, reading.kind.kind, controlled, reading.channels_without_unit)
+        for recording in reading.recordings))
              for each in understood for reading in each.readings]
     groups = [(name, *_interpret_and_correct_load_at_zero(alike, wishes), reason) for name, alike,
               reason in group_into_tests(parts)]
@@ -290,7 +292,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
 
     text = format_campaign_for_folder(Path() if output is None else output.parent, list_questions_of_tests(tests))
     imported = ImportResult(tuple(understood), tests, make_shallow_read_only_copy(specimens), text, missing,
-                            _collect_warnings(parts, tests))
+                            _collect_warnings(parts, tests, fits_relaxation=any(line.key == "start" for line in fit)))
     if not missing:
         imported = replace(imported, problem=_find_reason_against_calibration(format_campaign_for_folder))
     if output is None:
@@ -468,16 +470,27 @@ def _find_reason_against_calibration(format_campaign_for_folder: Callable[[Path]
     return None
 
 
-def _collect_warnings(parts: Sequence[ReplicateFile], tests: Sequence[ImportedTest]) -> tuple[str, ...]:
-    """Return the warnings of all files and of tests fitted as one material, as sentences without repetition."""
+def _collect_warnings(parts: Sequence[ReplicateFile], tests: Sequence[ImportedTest], *,
+                      fits_relaxation: bool) -> tuple[str, ...]:
+    """Return the warnings of all files and of tests fitted as one material, as sentences without repetition.
+
+    Args:
+        parts: replicates of all tests.
+        tests: tests of the campaign.
+        fits_relaxation: whether the campaign has start values of a Prony term.
+    """
     found: dict[str, None] = {}
     for kind in dict.fromkeys(test.kind for test in tests if test.kind):
-        names = [test.name for test in tests if test.kind == kind]
-        if len(names) > 1:
-            found[f"{len(names)} tests of {kind} are fitted as one material; import different materials one by one"
-                  ] = None
+        alike = [test for test in tests if test.kind == kind]
+        if len(alike) > 1:
+            files = [part.file for test in alike for part in test.parts]
+            remedy = ", by the columns (--column) or sheets (--sheet) of each" if len(set(files)) < len(files) else ""
+            found[f"{len(alike)} tests of {kind} are fitted as one material; import different materials one by one"
+                  f"{remedy}"] = None
     for part in parts:
         for warning in (*part.understanding.warnings, *part.reading.remarks,
                         *(each for motion in part.motions for each in motion.warnings)):
-            found.setdefault(f"{part.file.name}: {warning}", None)
+            said = warning.replace(VISCOELASTIC_REMEDY, "the campaign fits one relaxation term (start)") \
+                if fits_relaxation else warning
+            found.setdefault(f"{part.file.name}: {said}", None)
     return tuple(found)

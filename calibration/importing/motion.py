@@ -151,13 +151,15 @@ class RecordedMotion:
         return True if contact.has_air_before_contact else None
 
 
-def analyse_recorded_motion(recording: Recording, kind: str | None, controlled: str | None = None) -> RecordedMotion:
+def analyse_recorded_motion(recording: Recording, kind: str | None, controlled: str | None = None,
+                            unknown_units: frozenset[str] = frozenset()) -> RecordedMotion:
     """Analyse the motion of one recording: sampling, segments, contact, failure, warnings and assumptions.
 
     Args:
         recording: recording with a channel of `MOTIONS` and a force or stress.
         kind: kind of test; None: unknown.
         controlled: controlled quantity that the user states; None: found in the signals.
+        unknown_units: channels with the numbers of the file, whose unit or scale is unknown.
     """
     channel = next(name for name in MOTIONS if name in recording)
     size = len(recording)
@@ -182,7 +184,7 @@ def analyse_recorded_motion(recording: Recording, kind: str | None, controlled: 
     control = _get_control_findings(recording, kind)
     screening = replace(screening, control=control if controlled is None else replace(control, equal_samples=0))
     motion = RecordedMotion(channel, (float(way.max()), float(way.min())), rate, duration, speed,
-                            find_segments(recording, kind), screening=screening,
+                            find_segments(recording, kind, unknown_units=unknown_units), screening=screening,
                             kept=None if kept.size == size else kept)
     assumptions = list_signal_based_assumptions(screening, motion.contact,
                                                 has_air=motion.starts_in_air_or_none_if_unclear,

@@ -81,7 +81,7 @@ def _draw_test_motion_and_load_in_two_axes(left, right, test: ImportedTest) -> N
     """Draw the recordings of a test: motion over time in the left axes, load over motion in the right axes."""
     number = 0
     for part in test.parts:
-        raw = {column.channel for column in part.reading.columns if column.missing_information_text_or_none}
+        raw = part.reading.channels_without_unit
         for recording, motion in zip(part.reading.recordings, part.motions, strict=True):
             load = next(name for name in LOADS if name in recording)
             style = {"color": COLOURS[number % len(COLOURS)], "lw": 1.0}

@@ -318,8 +318,7 @@ def _format_largest_channel_value(part: ReplicateFile, motion: RecordedMotion) -
 
     A question mark follows a value whose unit is unknown.
     """
-    if any(column.missing_information_text_or_none for column in part.reading.columns
-           if column.channel == motion.channel):
+    if motion.channel in part.reading.channels_without_unit:
         return f"{max(motion.reach, key=abs):.4g} ?"
     unit, factor = get_display_unit_and_factor("m") if motion.channel == "displacement" else ("", 1.0)
     return f"{max(motion.reach, key=abs) * factor:.4g} {unit}".strip()

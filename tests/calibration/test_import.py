@@ -15,6 +15,7 @@ import tissue_sim as ts
 from calibration import ImportOptions, InterpretationOverrides
 from calibration.importing.imported import make_json_dictionary_of_import
 from scenes.cli import main
+from tissue_sim.recording.screening import estimate_load_at_zero_displacement
 
 sys.path.insert(0, str(Path(__file__).parent))
 import machine_exports
@@ -434,3 +435,47 @@ def test_afm_files_lack_the_specimen_and_the_tip(data_folder, tmp_path):
     imported = calibration.import_files([chiaro], wishes=ImportOptions(
         specimen={"radius_mm": 0.3, "height_mm": 0.2}))
     assert imported.is_complete and "tool_radius_mm = 0.0275" in imported.text
+
+
+def test_a_file_without_names_shows_its_last_row(data_folder):
+    path, = (data_folder / "oca_vhb_viscoelastic").glob("cyclic*_1.xlsx")
+    with pytest.raises(ts.InputError, match="5 columns of numbers have no names; name the columns.*"
+                       r"the last row is 1320\.1, 4\.3413, 1\.2972, 43\.413, 9\.9784"):
+        calibration.import_files([path])
+
+
+def test_two_near_samples_of_a_digitised_curve_are_no_hold(data_folder):
+    imported = calibration.import_files([data_folder / "brain_tension_damage" / "brain_gm2.csv"])
+    motion, = imported.tests[0].parts[0].motions
+    assert [segment.name for segment in motion.segments] == ["ramp", "failure"]
+    warning, = imported.warnings
+    # The header states no unit of the stress.
+    assert "at strain 1.207 and 4.897 (unit not stated)" in warning and "kPa" not in warning
+
+
+def test_the_campaign_that_fits_a_relaxation_does_not_ask_for_it(data_folder):
+    path, = (data_folder / "oca_vhb_viscoelastic").glob("cyclic*_1.xlsx")
+    stated = InterpretationOverrides({"time": 1, "nominal stress": 4, "shear strain": 5},
+                                     {"time": "s", "nominal stress": "kPa"})
+    imported = calibration.import_files([path], wishes=ImportOptions(stated))
+    warning, = imported.warnings
+    assert "the load relaxes in holds by up to 49 %" in warning and "the campaign fits one relaxation term" in warning
+    assert "start = {" in imported.text
+
+
+def test_two_materials_in_one_sheet_are_named_with_the_flag(data_folder):
+    stated = InterpretationOverrides(units={"nominal stress": "kPa"})
+    imported = calibration.import_files([data_folder / "foam_compressible" / "foam_leap__Foam.xlsx"],
+                                        wishes=ImportOptions(stated))
+    assert [test.kind for test in imported.tests] == ["uniaxial_tension", "simple_shear"] * 2
+    assert all("--column" in warning for warning in imported.warnings) and len(imported.warnings) == 2
+
+
+def test_a_curve_whose_slope_falls_quickly_begins_without_load(data_folder):
+    """The shear at 0.01 1/s is proportional to the strain at its start (0.0097, 0.431 kPa; 0.0195, 0.856 kPa)."""
+    path, = (data_folder / "oca_vhb_viscoelastic").glob("monotonic*_0d01.xlsx")
+    stated = InterpretationOverrides({"time": 1, "nominal stress": 3, "shear strain": 4},
+                                     {"time": "s", "nominal stress": "kPa"})
+    recording, = calibration.import_files([path], wishes=ImportOptions(stated)).files[0].readings[0].recordings
+    assert estimate_load_at_zero_displacement(recording.channel("shear strain"),
+                                              recording.channel("nominal stress")) is None

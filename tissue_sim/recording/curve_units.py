@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 
 @dataclass(frozen=True)
@@ -26,6 +26,11 @@ class CurveUnits:
     load_unit: str
     load_factor: float
 
+    def with_numbers_of_file(self, *, motion: bool, load: bool) -> CurveUnits:
+        """Return these units for a recording whose `motion` or `load` has the numbers of the file, in unknown units."""
+        units = replace(self, motion_unit=UNKNOWN_UNIT, motion_factor=1.0) if motion else self
+        return replace(units, load_unit=UNKNOWN_UNIT.strip(), load_factor=1.0) if load else units
+
     @property
     def motion_label(self) -> str:
         """Label of an axis of the motion."""
@@ -45,6 +50,8 @@ class CurveUnits:
         return f"{self.load_factor * value:.{digits}g} {self.load_unit}"
 
 
+#: Words after a number whose unit is unknown, with a leading blank.
+UNKNOWN_UNIT = " (unit not stated)"
 #: Displacement and force.
 FORCE_UNITS = CurveUnits("displacement", " mm", 1e3, "force", "N", 1.0)
 #: Strain and nominal stress.

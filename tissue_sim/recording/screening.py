@@ -21,6 +21,8 @@ class PreloadSettings:
             of the polynomial. A longer start is used if a shorter one is too noisy to show `fraction`. For neo-Hookean
             curves up to a stretch of 2 or down to 0.6 these polynomials err by at most 0.8 % of the range at zero.
         fewest: fewest samples of that start.
+        fewest_of_first: fewest samples of the shortest start, which shows the load at zero of a curve whose slope
+            changes quickly. With fewer samples that start is skipped, as its noise is not known.
         start_offset: largest first displacement, as a fraction of the range. A recording that starts farther from zero
             has a known zero.
         fraction: load at zero, as a fraction of the range, above which the moduli err by more than 4 %.
@@ -29,8 +31,9 @@ class PreloadSettings:
         significant: load at zero in standard errors of its estimate, above which the load is significant.
     """
 
-    starts: tuple[tuple[float, int], ...] = ((0.15, 2), (0.3, 2), (0.6, 2), (1.0, 3))
+    starts: tuple[tuple[float, int], ...] = ((0.05, 2), (0.15, 2), (0.3, 2), (0.6, 2), (1.0, 3))
     fewest: int = 6
+    fewest_of_first: int = 12
     start_offset: float = 0.05
     fraction: float = 0.02
     still: float = 1e-3
@@ -74,6 +77,8 @@ def estimate_load_at_zero_displacement(motion: np.ndarray, load: np.ndarray) -> 
     for fraction, degree in _SETTINGS.starts:
         limit = motion[0] + fraction * (motion[peak - 1] - motion[0])
         start = peak if fraction == 1.0 else max(int(np.argmax(motion[:peak] > limit)), _SETTINGS.fewest)
+        if fraction == _SETTINGS.starts[0][0] and start < _SETTINGS.fewest_of_first:
+            continue
         x, y = motion[:start], load[:start]
         if np.unique(x).size < degree + 2:
             continue
@@ -270,10 +275,10 @@ class ControlledQuantityFindings:
             return (f"the force is held and the displacement creeps by {100 * self.creep:.0f} %: an elastic law cannot "
                     f"describe it; {VISCOELASTIC_REMEDY}")
         if self.relaxation > SCREENING.relaxation and not self.can_elastic_law_describe_loading:
-            return (f"the force relaxes in holds by up to {100 * self.relaxation:.0f} %: an elastic law gives neither "
+            return (f"the load relaxes in holds by up to {100 * self.relaxation:.0f} %: an elastic law gives neither "
                     f"the modulus at once nor that at equilibrium; {VISCOELASTIC_REMEDY}")
         if self.relaxation > SCREENING.relaxation:
-            return (f"the force relaxes in holds by up to {100 * self.relaxation:.0f} %, which an elastic law leaves "
+            return (f"the load relaxes in holds by up to {100 * self.relaxation:.0f} %, which an elastic law leaves "
                     f"out; to fit it, {VISCOELASTIC_REMEDY}")
         return ""
 

@@ -82,7 +82,8 @@ class Segmentation:
             yield str(self.labels[first]), first, last
 
 
-def find_segments(recording: Recording, kind: TestKind | str | None = None) -> Segmentation:
+def find_segments(recording: Recording, kind: TestKind | str | None = None, *,
+                  unknown_units: frozenset[str] = frozenset()) -> Segmentation:
     """Find the segments of a measured or simulated recording.
 
     Labels of the recording are kept. Without labels, the motion, the contact and the failure give the segments. Samples
@@ -92,12 +93,16 @@ def find_segments(recording: Recording, kind: TestKind | str | None = None) -> S
     Args:
         recording: with displacement and force, or stretch or shear strain and nominal stress.
         kind: kind of test, which determines the sign of strain and stress; None: the largest strain is a loading.
+        unknown_units: channels with the numbers of the file, whose unit is unknown.
 
     Raises:
         InputError: an unknown kind, a recording without motion and load.
     """
     kind = KINDS.find(kind, "kind") if isinstance(kind, str) else kind
     motion, load, units = get_positive_motion_load_and_units(recording, kind)
+    if unknown_units:
+        units = units.with_numbers_of_file(motion=not unknown_units.isdisjoint(MOTIONS),
+                                           load=not unknown_units.isdisjoint(UNITS_OF_LOAD))
     time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
     stated = "segment" in recording.labels
     return find_segments_of_arrays(motion, load, time, recording.labels["segment"] if stated else None,
@@ -132,7 +137,8 @@ def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: n
     elif not ordered:
         labels, cycles = np.full(displacement.size, "ramp"), np.ones(displacement.size, int)
     else:
-        labels = label_samples_ramp_hold_unload(clock, displacement)
+        # Without a time a hold is at least three samples: two near samples occur in each digitised curve.
+        labels = label_samples_ramp_hold_unload(clock, displacement, shortest_hold=2.0 if time is None else 0.0)
         for first, last in find_creep_intervals(displacement, force, time):
             labels[first:last] = "hold"
         labels, cycles = label_reloads_and_cycles(labels)

@@ -132,6 +132,11 @@ class TableGroup:
     speed: tuple[float, str] | None = None
 
     @property
+    def channels_without_unit(self) -> frozenset[str]:
+        """Channels whose unit or scale is unknown, so that they have the numbers of the file."""
+        return frozenset(column.channel for column in self.columns if column.missing_information_text_or_none)
+
+    @property
     def missing_information_texts(self) -> tuple[str, ...]:
         """Information about the columns that only the user knows, in words; empty: complete."""
         return tuple(column.missing_information_text_or_none for column in self.columns

@@ -82,6 +82,11 @@ from tissue_sim.recording.measures import MEASURES, find_measure_name_in_header_
 from tissue_sim.recording.recording import LOADS, MOTIONS
 from tissue_sim.settings import make_shallow_read_only_copy
 
+#: Largest number of columns whose values a message states.
+_LISTED_COLUMNS = 5
+#: Largest number of characters of each of these values.
+_LISTED_CHARACTERS = 6
+
 
 def explain_missing_columns(found: Sequence[NumberTable], machine: MachineFormat | None,
                             hints: InterpretationOverrides,
@@ -144,8 +149,11 @@ def explain_missing_columns(found: Sequence[NumberTable], machine: MachineFormat
               and (said := _describe_first_unreadable_cell_or_empty(numbers, position))]
     if missing_roles and broken:
         return f"has columns that cannot be read: {'; '.join(broken)}; {has}"
-    return (f"shows no column with {wanted}: {has}; name the columns, such as --column "
-            "displacement=2 --unit displacement=mm --column force=3 --unit force=N")
+    remedy = "name the columns, such as --column displacement=2 --unit displacement=mm --column force=3 --unit force=N"
+    if not any(names):
+        last = ", ".join(cell[:_LISTED_CHARACTERS] for cell in numbers.rows[-1].cells[:_LISTED_COLUMNS])
+        return f"shows no column with a motion and a load: {has}; {remedy} (the last row is {last})"
+    return f"shows no column with {wanted}: {has}; {remedy}"
 
 
 def _describe_first_unreadable_cell_or_empty(numbers: NumberTable, position: int | None) -> str:
