@@ -216,7 +216,7 @@ class ToolDrive:
         self.travel = 0.0
         self._readings: list[float] = []
         self._last = _LastSample()
-        # Displacement with a rigid load train, and reported displacement, at the last sample, m.
+        # Displacement with a rigid load train, and reported displacement, when the stage last moved, m.
         self._before: tuple[float, float] | None = None
         self._largest_force = 0.0
 
@@ -237,7 +237,8 @@ class ToolDrive:
         if math.isnan(prescribed):
             prescribed = rig.compute_reported_displacement(unloaded, self._before)
         self.reported.append(prescribed)
-        self._before = unloaded, prescribed
+        if self._before is None or prescribed != self._before[1]:
+            self._before = unloaded, prescribed
         return wrench
 
     def iterate_goals_durations_and_steps(self) -> Iterator[tuple[str, float, Iterable[Step]]]:

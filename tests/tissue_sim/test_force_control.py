@@ -173,6 +173,17 @@ class TestRig:
         # At the first touch of a stage with an offset, the displacement-controlled tool has no force.
         np.testing.assert_allclose(followed[1:], found.force[1:], atol=1e-6)
 
+    @pytest.mark.parametrize("force", ["1N", "0.5N"])
+    def test_a_held_force_takes_up_no_play(self, force):
+        """An elastic specimen holds its depth: the stage rests; it takes up the play where the force turns only."""
+        text = f"ramp 1N @0.5N/s; hold 2s; unload 0.3N; hold 2s; reload {force}; hold 2s"
+        ideal, found = (simulated(text, rig=ts.Rig(backlash=play)) for play in (0.0, 0.1e-3))
+        segment = found.labels["segment"]
+        play = ideal.displacement - found.displacement
+        outwards = np.cumsum(segment == "unload") > 0
+        outwards &= np.cumsum(segment == "reload") == 0
+        np.testing.assert_allclose(play, np.where(outwards, 0.1e-3, 0.0), atol=1e-3 * 0.1e-3)
+
     def test_noise_does_not_move_the_tool(self):
         quiet, noisy = (simulated("ramp 1N @0.5N/s", rig=rig) for rig in (ts.Rig(), ts.Rig(force_noise=0.01)))
         np.testing.assert_array_equal(noisy.displacement, quiet.displacement)

@@ -19,6 +19,9 @@ from tissue_sim.rig.fault import RigFault
 from tissue_sim.rig.loading_curve import FirstLoadingCurveWithHistory
 from tissue_sim.settings import make_shallow_read_only_copy
 
+#: Smallest turn of the motion, over the backlash, in which the screw takes up the play.
+_LEAST_TURN = 1e-3
+
 
 def compute_nut_positions_and_screw_samples(screw: np.ndarray, play: float) -> tuple[np.ndarray, np.ndarray]:
     """Compute the motion of the nut (play operator).
@@ -278,13 +281,20 @@ class Rig:
 
         Args:
             position: of the tool with a rigid load train, m.
-            before: position and reported displacement at the sample before, m; None: the first sample.
+            before: position and reported displacement when the stage last moved, m; None: the first sample. The stage
+                rests, and this displacement is returned, while the tool turns back by at most `_LEAST_TURN` of the
+                backlash: the position at a held force is known to rounding only.
         """
-        if before is not None and position == before[0]:
-            return before[1]
-        # The screw first takes up the play when the tool turns outwards.
-        screw = position - self.backlash if before is not None and position < before[0] else position
-        return screw / (1.0 + self.displacement_gain) + self.contact_offset
+        play = 0.0
+        if before is not None:
+            change = position - before[0]
+            # The screw first takes up the play when the tool turns.
+            play_before = before[0] - (before[1] - self.contact_offset) * (1.0 + self.displacement_gain)
+            turns = play_before > 0.5 * self.backlash if change > 0 else play_before < 0.5 * self.backlash
+            if change == 0 or (turns and abs(change) <= _LEAST_TURN * self.backlash):
+                return before[1]
+            play = self.backlash if change < 0 else 0.0
+        return (position - play) / (1.0 + self.displacement_gain) + self.contact_offset
 
     def apply_motion_effects(self, recording: Recording) -> Recording:
         """Return the recording with the true force under this rig for the same reported motion; no new simulation.
