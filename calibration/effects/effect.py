@@ -23,6 +23,8 @@ from calibration.campaign.parameters import SHARED, ScopedCampaignParameter, get
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import find_law
 from tissue_sim.material.material import (
+    BULK_RATIOS,
+    Bulk,
     find_parameter_path_and_declaration,
     get_law_parameter_declaration,
     with_changed_or_added_parameters,
@@ -117,22 +119,38 @@ class DiagnosisData:
         """Estimate of the shear modulus mu for trial values, Pa.
 
         The estimate is the median over the tests of the modulus that linear elasticity assigns to the largest force F
-        at the largest displacement d: mu = F h / (3 A d) for plates on a specimen of height h and area A, and mu = F /
-        (8 a d) for an indenter with contact radius a, both for an incompressible material.
+        at the largest displacement d: mu = F h / (c A d) on a specimen of height h and area A, where c mu is the
+        initial slope of the closed form of the test (c = 3 for plates) plus the bulk modulus between lateral walls, and
+        mu = F / (8 a d) for an indenter with contact radius a on an incompressible material.
         """
         found = []
         for test in self.tests:
             force, depth = self.largest_force(test), self.largest_displacement(test)
             if test.experiment is None or self.measured[test.name][0].stressed:
                 height, area = test.reference_height, test.reference_area
-                found.append(force * height / (3.0 * area * depth))
+                found.append(self._convert_initial_slope_to_shear_modulus(test, force * height / (area * depth)))
             elif test.experiment.tool.is_plate:
                 specimen = test.experiment.specimen
                 area = specimen.area if specimen.is_prism else np.pi * specimen.margin() ** 2
-                found.append(force * specimen.height / (3.0 * area * depth))
+                slope = force * specimen.height / (area * depth)
+                found.append(self._convert_initial_slope_to_shear_modulus(test, slope))
             else:
                 found.append(force / (8.0 * self.contact_radius(test) * depth))
         return float(np.median(found))
+
+    def _convert_initial_slope_to_shear_modulus(self, test: Test, slope: float) -> float:
+        """Return the shear modulus, Pa, for an initial slope of nominal stress over strain, Pa; see the estimate."""
+        form, fit = test.kind.closed_form, self.campaign.fit
+        shear = 3.0 if form is None else float(form.slope(find_law("neo_hooke"), np.array([form.rest]), [0.5])[0])
+        if form is None or not form.needs_bulk:
+            return slope / shear
+        stated = {**fit.fixed, **fit.start}
+        bulk = next((Bulk(path.removeprefix("bulk."), value) for path, value in stated.items()
+                     if path.startswith("bulk.")), fit.bulk)
+        if bulk.kind == "bulk_ratio":
+            return slope / (shear + bulk.modulus(1.0))
+        # Where the stated bulk modulus leaves nothing, the material is taken as the most compressible one.
+        return max((slope - bulk.modulus(1.0)) / shear, 0.0) or slope / (shear + BULK_RATIOS[0])
 
     def contact_radius(self, test: Test) -> float:
         """Return an estimate of the contact radius of a tool at the largest displacement of a test, m."""

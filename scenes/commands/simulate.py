@@ -144,7 +144,8 @@ def _run(arguments: Namespace) -> CommandResult:
         from scenes.figures import draw_simulation
 
         draw_simulation(recording, model, arguments.figure, field=arguments.field)
-    warnings = [*list_warnings_if_test_leaves_range(material_file, recording, experiment.specimen.height),
+    warnings = [*list_warnings_if_test_leaves_range(material_file, recording, experiment.specimen.height,
+                                                    has_lateral_wall=experiment.has_lateral_wall),
                 *recording.metadata.get("solver", {}).get("warnings", [])]
     result = CommandResult(
         lambda: make_simulation_json_object(recordings, arguments.resolution, failure, warnings,

@@ -5,6 +5,9 @@ import pytest
 
 import calibration
 import tissue_sim as ts
+from calibration.campaign.campaign import load_campaign
+from calibration.campaign.measured import read_measured_curves
+from calibration.effects.effect import DiagnosisData
 from tissue_sim.closed_form.torsion import compute_torque_and_axial_force
 
 TRUTH = {"C10": 5000.0, "C01": 2000.0}
@@ -109,6 +112,30 @@ def test_confined_compression_without_history(tmp_path, reading):
                           f'laws = ["neo_hooke"]\nbulk_ratio = 8.0\n{fit}\n\n[noise]\nforce_N = 0.001')
     result, = calibration.calibrate([path], tmp_path / "out", figures=False)
     assert result.best.parameters["C10"] == pytest.approx(5000.0, rel=1e-3)
+
+
+@pytest.mark.parametrize(("kind", "fit"), [
+    ("confined_compression", "bulk_ratio = 8.0"),
+    ("confined_compression", 'method = "inverse_fem"\nstart = { C10 = 5000.0, "bulk.K_Pa" = 8e4 }'),
+    ("simple_shear", ""), ("planar_tension", ""), ("equibiaxial_tension", ""), ("torsion", "")])
+def test_the_estimated_modulus_of_a_diagnosis_is_that_of_the_kind(tmp_path, kind, fit):
+    """Trial values of effects follow from the modulus 10 kPa, which linear elasticity gives for each kind."""
+    material = ts.Material("neo_hooke", {"C10": 5000.0}, ts.Bulk("bulk_ratio", 8.0))
+    strain = np.linspace(0.0, 1e-3, 41)
+    area = np.pi * RADIUS**2
+    slopes = {"simple_shear": 1e4, "planar_tension": 4e4, "equibiaxial_tension": 6e4}
+    if kind == "torsion":
+        torque, _ = compute_torque_and_axial_force(ts.find_law("neo_hooke"), {"C10": 5000.0}, strain / RADIUS, RADIUS)
+        write_recording(tmp_path, kind, angle=strain / RADIUS * HEIGHT, torque=torque)
+    else:
+        force = make_confined_force(material, 1.0 - strain) if kind == "confined_compression" \
+            else slopes[kind] * strain * area
+        write_recording(tmp_path, kind, displacement=strain * HEIGHT, force=force)
+    path = write_campaign(tmp_path, (kind,), f'laws = ["neo_hooke"]\n{fit}\n\n[noise]\nforce_N = 1e-6'
+                          if kind != "torsion" else 'laws = ["neo_hooke"]')
+    campaign = load_campaign(path)
+    data = DiagnosisData(campaign, read_measured_curves(campaign), "neo_hooke")
+    assert data.estimated_shear_modulus == pytest.approx(1e4, rel=5e-3)
 
 
 def test_air_before_confined_compression_carries_no_force(tmp_path):

@@ -182,6 +182,21 @@ def test_leaving_the_valid_and_stable_range_gives_warnings(tmp_path, capsys):
     assert "fitted to stretches from 0.9 to 1 only" in err and "unstable within the mean stretches" in err
 
 
+def test_confined_compression_compares_isochoric_stretches(tmp_path, capsys):
+    """A fit to confined compression to a stretch of 0.9 is valid from 0.9^(2/3) = 0.932 to 0.9^(-1/3) = 1.036."""
+    material = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 8.0))
+    ts.write_material_file(ts.MaterialFile.of(material, valid_range={"stretch": (0.932, 1.036)}),
+                           tmp_path / "m.material.json")
+    words = ["simulate", "confined_compression", "--material", str(tmp_path / "m.material.json"), "--radius-mm", "10",
+             "--height-mm", "10", "--points", "5", "--json", "--depth-mm"]
+    assert main([*words, "1"]) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == []
+    assert main([*words, "2"]) == 0
+    warning, = json.loads(capsys.readouterr().out)["warnings"]
+    # 0.8^(2/3) and 0.8^(-1/3).
+    assert warning.startswith("the stretches of the tissue are 0.862 to 1.08, but the material was fitted")
+
+
 @pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_the_fitted_test_is_in_the_valid_range(tmp_path, capsys):

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from calibration.report.quantities import format_pressure
+from tissue_sim.closed_form.confined import CONFINED
 from tissue_sim.laws import find_stability_range
 from tissue_sim.material.file import EFFECTS
 from tissue_sim.material.fractional_zener import FractionalRelaxation
@@ -76,13 +77,16 @@ def describe_drucker_instability(material_file: MaterialFile) -> str | None:
     return None
 
 
-def list_warnings_if_test_leaves_range(material_file: MaterialFile, recording: Recording, height: float) -> list[str]:
+def list_warnings_if_test_leaves_range(material_file: MaterialFile, recording: Recording, height: float, *,
+                                       has_lateral_wall: bool = False) -> list[str]:
     """Return warnings about a simulated test in which the material leaves its valid range or its stable range.
 
     Args:
         material_file: material of the specimen.
         recording: simulated test; with fields, their principal stretches are compared with the valid range.
         height: height of the specimen, m.
+        has_lateral_wall: whether rigid walls hold the side of the specimen, so that its volume changes. The law and its
+            valid range then refer to isochoric stretches.
 
     Returns:
         Warnings, one sentence each.
@@ -92,7 +96,11 @@ def list_warnings_if_test_leaves_range(material_file: MaterialFile, recording: R
     stretch = 1 - float(recording.displacement[deepest]) / height
     # A calibration derives its valid range from the same local stretches. Under a needle they differ much from the
     # mean stretch of the specimen.
-    lowest, highest = (stretch, 1.0) if recording.fields is None else recording.fields.stretch_range(deepest)
+    if has_lateral_wall:
+        lowest, highest = CONFINED.find_extreme_stretches(min(stretch, 1.0), 1.0)
+        stretch = lowest
+    else:
+        lowest, highest = (stretch, 1.0) if recording.fields is None else recording.fields.stretch_range(deepest)
     if material_file.valid_range is not None and material_file.valid_range.stretch is not None:
         low, high = material_file.valid_range.stretch
         if lowest < low - RANGE_TOLERANCE or highest > high + RANGE_TOLERANCE:
