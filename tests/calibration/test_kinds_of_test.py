@@ -56,6 +56,23 @@ def test_torsion_alone_determines_the_sum(tmp_path):
     assert result.best.parameters["C10"] == pytest.approx(sum(TRUTH.values()), rel=1e-6)
 
 
+def test_torsion_has_no_noise_of_a_force(tmp_path):
+    """The noise of a torque is that of the stress at the rim, 2 M / (pi a^3)."""
+    angle = np.linspace(0.0, 1.0, 201)
+    torque, _ = compute_torque_and_axial_force(LAW, TRUTH, angle / HEIGHT, RADIUS)
+    noise = 2e-5
+    write_recording(tmp_path, "torsion", angle=angle, torque=torque + np.random.default_rng(2).normal(0.0, noise, 201))
+    path = write_campaign(tmp_path, ("torsion",), 'laws = ["neo_hooke"]\n\n[noise]\nforce_N = 0.01')
+    with pytest.raises(ts.InputError, match=r"noise\.force_N: has an effect on tests with a force only; got 0\.01 N.*"
+                                            "State nominal_stress_Pa"):
+        calibration.calibrate([path], tmp_path / "out", figures=False)
+    stress = 2.0 * noise / (np.pi * RADIUS**3)
+    path = write_campaign(tmp_path, ("torsion",), f'laws = ["neo_hooke"]\n\n[noise]\nnominal_stress_Pa = {stress}')
+    result, = calibration.calibrate([path], tmp_path / "out", figures=False)
+    # 201 samples determine the ratio of the residuals to the noise to 5 %.
+    assert 0.85 < result.best.noise_ratio < 1.15
+
+
 def test_torsion_needs_a_cylinder(tmp_path):
     angle = np.linspace(0.0, 1.0, 61)
     write_recording(tmp_path, "torsion", angle=angle, torque=1e-3 * angle)
