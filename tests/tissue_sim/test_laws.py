@@ -216,7 +216,8 @@ class TestParameters:
 
     @pytest.mark.parametrize(("values", "words"), [
         ({"C10": 1.0}, "C20 is missing"), ({"C10": 1.0, "C20": 2.0, "C3": 1.0}, "no parameter 'C3'"),
-        ({"C10": float("nan"), "C20": 1.0}, "expected a finite number"), ([1.0], "has 2 parameters"),
+        ({"C10": float("nan"), "C20": 1.0}, r"must be finite; got nan\. State a number"),
+        ([1.0], r"must be 2 numbers .* Give C10, C20"),
     ])
     def test_bad_parameters(self, values, words):
         with pytest.raises(ts.InputError, match=words):

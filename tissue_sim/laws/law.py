@@ -232,16 +232,16 @@ class Law:
                     raise InputError(f"law {self.name} has no parameter {name!r}{hint}", field=f"parameters.{name}")
             for name in self.parameters:
                 if name not in values:
-                    raise InputError(f"law {self.name} needs {', '.join(self.parameters)}; {name} is missing",
-                                     field=f"parameters.{name}")
+                    raise InputError(f"law {self.name} needs {', '.join(self.parameters)}; {name} is missing. State "
+                                     "its value", field=f"parameters.{name}")
             values = [values[name] for name in self.parameters]
         array = np.asarray(values, dtype=float)
         if array.shape != (len(self.parameters),):
-            raise InputError(f"law {self.name} has {len(self.parameters)} parameters, got shape {array.shape}",
-                             field="parameters")
+            raise InputError(f"must be {len(self.parameters)} numbers for law {self.name}; got shape {array.shape}. "
+                             f"Give {', '.join(self.parameters)} in this order, or by name", field="parameters")
         for name, value in zip(self.parameters, array, strict=True):
             if not np.isfinite(value):
-                raise InputError(f"{name} is {value}, expected a finite number", field=f"parameters.{name}")
+                raise InputError(f"must be finite; got {value}. State a number in SI units", field=f"parameters.{name}")
         return array
 
     def require_values_within_bounds(self, values: Mapping[str, float]) -> None:
@@ -252,8 +252,8 @@ class Law:
         """
         for name, (low, high) in self.parameter_bounds.items():
             if not low <= values[name] <= high:
-                raise InputError(f"must be within [{low:g}, {high:g}]; got {values[name]:g}.",
-                                 field=f"parameters.{name}")
+                raise InputError(f"must be within [{low:g}, {high:g}]; got {values[name]:g}. Check the unit, or use "
+                                 "another law", field=f"parameters.{name}")
 
     def describe_limiting_cases(self, values) -> list[str]:
         """Return a sentence for each parameter at a limit, where the formula takes another form; none by default."""
@@ -272,7 +272,8 @@ class Law:
         stretch, count = np.asarray(stretch, dtype=float), _count_stretches(mode)
         parts = (stretch,) if count == 1 else tuple(np.moveaxis(stretch, -1, 0))
         if len(parts) != count:
-            raise InputError(f"must have {count} values at each point; got {len(parts)}.", field="stretch")
+            raise InputError(f"must have {count} values at each point; got {len(parts)}. Give an array whose last axis "
+                             f"has length {count}", field="stretch")
         items = _evaluate_inside_domain(_compile_mode_stress_function(self, mode),
                                         count * (1 + count + len(self.parameters)), parts[0].shape, *parts,
                                         *self.convert_parameters_to_array(values))
