@@ -30,7 +30,10 @@ class ToolSearchSettings:
         near_tolerance: relative residual below which a trial after `many_trials` continues from the previous trial
             instead of from the last sample, 1.
         many_trials: number of trials after which `near_tolerance` is used.
-        most_trials: largest number of trials.
+        most_trials: largest number of trials for an increment of the force, or for a sample with a prescribed
+            displacement.
+        most_sample_trials: largest number of trials for all increments of a sample; a smaller value ends the search
+            for a force that the tissue does not reach earlier, and may end a search with cut steps too early.
         first_step: first displacement of the tool in force control, over the thickness of the specimen, 1.
         expansion: largest ratio of the change of the displacement to the change before it, while no trial is beyond the
             solution.
@@ -44,6 +47,7 @@ class ToolSearchSettings:
     near_tolerance: float = 1e-3
     many_trials: int = 20
     most_trials: int = 40
+    most_sample_trials: int = 200
     first_step: float = 1e-3
     expansion: float = 3.0
     deepest: float = 0.95
@@ -219,6 +223,7 @@ class ToolDrive:
         # Displacement with a rigid load train, and reported displacement, when the stage last moved, m.
         self._before: tuple[float, float] | None = None
         self._largest_force = 0.0
+        self._sample_trials = 0
 
     @property
     def combined_force_factor(self) -> float:
@@ -313,7 +318,7 @@ class ToolDrive:
 
     def _iterate_solver_steps_to_goal(self, goal: _Goal, dt: float) -> Iterator[Step]:
         """Yield the steps to one sample, `dt` s after the last sample; the last step is that of the sample."""
-        solver = self._solver
+        solver, self._sample_trials = self._solver, 0
         if not goal.force_weight:
             self.travel = goal.value
             for step in iterate_adaptive_steps_to_pose(solver, self._make_pose(goal.value), dt, **self._options):
@@ -333,7 +338,7 @@ class ToolDrive:
             if (yield from self._iterate_trials(part, (end - increments.done) * dt, end * dt)):
                 increments.advance()
                 continue
-            if not increments.halve_and_check_size():
+            if not increments.halve_and_check_size() or self._sample_trials >= TOOL_SEARCH.most_sample_trials:
                 return
             solver.restore(saved)
 
@@ -349,8 +354,10 @@ class ToolDrive:
             Whether the last step solves the equation.
         """
         solver = self._solver
-        saved, search, residual = solver.save(), self._start_search(goal), math.inf
-        for trial in range(TOOL_SEARCH.most_trials):
+        saved, search, residual, lifts_off = solver.save(), self._start_search(goal), math.inf, False
+        closest = (math.inf, 0.0, 0.0)
+        for trial in range(min(TOOL_SEARCH.most_trials, TOOL_SEARCH.most_sample_trials - self._sample_trials)):
+            self._sample_trials += 1
             # With cut steps friction takes another path in each trial, and the secant method does not converge: when
             # the goal is almost reached, the tool continues from there.
             near = trial >= TOOL_SEARCH.many_trials and (
@@ -373,8 +380,11 @@ class ToolDrive:
                     return False
             assert force is not None
             residual, scale = goal.compute_residual(self.travel, force), goal.compute_scale(self.travel)
-            # Before the first contact every position in the air is a solution; later the tool touches at zero force.
-            is_in_air = force == goal.value == 0.0 and not goal.displacement_weight and self._largest_force > 0.0
+            # Before the first contact every position in the air is a solution of a zero force; later the tool touches.
+            # A tool that pulls with a force that it loses in the air is closer to the tissue.
+            is_in_air = force == 0.0 >= goal.value and not goal.displacement_weight and self._largest_force > 0.0
+            lifts_off |= is_in_air and goal.value < 0.0
+            closest = min(closest, (abs(residual), self.travel, force))
             if step.status is StepStatus.CONVERGED and abs(residual) <= goal.tolerance * scale and not (
                     is_in_air and search.distance_to_trial_above > self._position_tolerance):
                 stiffness = None if search.slope is None else \
@@ -385,8 +395,12 @@ class ToolDrive:
                     search.has_jump(self._position_tolerance, TOOL_SEARCH.near_tolerance * scale)):
                 break
         if not goal.displacement_weight:
-            self.failure = (f"no displacement of the tool gives this force; at {self.travel * 1e3:.4g} mm the force is "
-                            f"{force:.4g} N. Use smaller forces or more samples")
+            _, travel, force = closest
+            force = 0.0 if abs(force) <= goal.tolerance * goal.scale else force
+            self.failure = (f"no displacement of the tool gives this force; at {travel * 1e3:.4g} mm the force is "
+                            f"{force:.4g} N. "
+                            + ("The tool lifts off at a smaller pull. Pull with a smaller force, or prescribe the "
+                               "displacement" if lifts_off else "Use smaller forces or more samples"))
         yield replace(step, status=StepStatus.SLOW, iterations=0)
         return False
 

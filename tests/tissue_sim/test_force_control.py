@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
+from tissue_sim import tool_drive
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
+from tissue_sim.fem.stepping import iterate_adaptive_steps_to_pose
 from tissue_sim.mesh import cylinder_mesh_refined_under_tip
 from tissue_sim.mesh.elements import Q9P1
 from tissue_sim.mesh.solid import create_cylinder_mesh_under_needle
@@ -221,6 +223,27 @@ class TestForcesThatAreNotReached:
     def test_a_sharp_face_without_friction_stays_within_its_accurate_depth(self):
         with pytest.raises(ts.ConvergenceError, match=r"no displacement of the tool gives this force; at 1\.4 mm"):
             simulated("ramp 5N @1N/s", tool=ts.Tool("flat", 8e-3), friction="frictionless")
+
+    @pytest.mark.parametrize(("tool", "friction", "material"), [
+        (PUNCH, "stick", {}), (ts.Tool("sphere", 8e-3), 0.3, {"viscoelastic": SERIES})], ids=["punch", "sphere"])
+    def test_a_pull_beyond_the_pull_off_force_ends_with_the_remedy(self, tool, friction, material, monkeypatch):
+        """A smaller pull is reached; a larger one ends after a limited number of trials at the lift-off."""
+        trials = []
+
+        def count_and_iterate(*arguments, **options):
+            trials.append(arguments[1])
+            yield from iterate_adaptive_steps_to_pose(*arguments, **options)
+
+        monkeypatch.setattr(tool_drive, "iterate_adaptive_steps_to_pose", count_and_iterate)
+        experiment = ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol(np.arange(5.0), force=[0, 0.2, 0, -5e-4, -1]),
+                                   tool=tool, friction=friction, friction_base="bonded",
+                                   adhesion=ts.Adhesion(0.02, 0.5e-3))
+        model = ts.Model(experiment, ts.Material("neo_hooke", {"C10": 1e3}, ts.Bulk("bulk_ratio", 1e4), **material))
+        with pytest.raises(ts.ConvergenceError, match=r"on the way to a force of -1 N \(sample 5\), no displacement .* "
+                                                      "The tool lifts off at a smaller pull. Pull with a") as error:
+            ts.simulate(model, estimate_error=False)
+        np.testing.assert_allclose(error.value.recording.force, [0.0, 0.2, 0.0, -5e-4], atol=4e-9)
+        assert len(trials) < 4 * TOOL_SEARCH.most_trials + TOOL_SEARCH.most_sample_trials
 
     def test_no_force_is_contact_without_a_gap(self):
         """After unloading to 0 N the tool touches: any motion into the tissue gives a force."""
