@@ -1,12 +1,13 @@
-"""Catalogue of the scenes, and the metadata of their simulated recordings.
+"""Catalogue of the scenes and simulated tests, and the metadata of their simulated recordings.
 
-Scenes are the kinds of test that use a tool, which can therefore be simulated and shown.
+Scenes are the kinds of test that use a tool, which can therefore be moved interactively. Simulated tests are these and
+the kinds whose specimen is gripped.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
@@ -25,33 +26,44 @@ def make_kind_specimen_tool_metadata(kind: str, experiment: Experiment) -> dict[
 
     Returns:
         JSON entries ``kind``, ``specimen`` and ``tool``; of an oblique or eccentric indentation also ``approach`` with
-        ``offset_mm`` and ``tilt_deg``. Lengths in mm.
+        ``offset_mm`` and ``tilt_deg``. Lengths in mm. A gripped specimen has no tool.
     """
+    specimen = experiment.specimen
+    entries = {"kind": kind, "specimen": {"shape": specimen.shape, **specimen.values_by_file_key}}
+    if experiment.grip is not None:
+        return entries
     tool = experiment.tool
     sizes = {} if tool.is_plate or tool.radius is None else {"radius_mm": tool.radius * 1e3}
     line = experiment.approach
     approach = {} if line is None else {"approach": {"offset_mm": line.offset * 1e3,
                                                      "tilt_deg": math.degrees(line.angle)}}
-    specimen = experiment.specimen
-    return {"kind": kind, "specimen": {"shape": specimen.shape, **specimen.values_by_file_key},
-            "tool": {"shape": tool.shape, **sizes}, **approach}
+    return {**entries, "tool": {"shape": tool.shape, **sizes}, **approach}
 
 
-class _MappingOfTestKindsWithTool(Mapping[str, TestKind]):
-    """Read-only mapping, name -> kind of test, of all `KINDS` with a tool; kinds of installed packages are included."""
+class _MappingOfTestKinds(Mapping[str, TestKind]):
+    """Read-only mapping, name -> kind of test, of those `KINDS` that satisfy a condition; installed ones are included.
+
+    Args:
+        has: condition.
+    """
+
+    def __init__(self, has: Callable[[TestKind], bool]):
+        self._has = has
 
     def __getitem__(self, name: str) -> TestKind:
         kind = KINDS[name]
-        if kind.has_gripped_ends:
+        if not self._has(kind):
             raise KeyError(name)
         return kind
 
     def __iter__(self) -> Iterator[str]:
-        return (name for name, kind in KINDS.items() if not kind.has_gripped_ends)
+        return (name for name, kind in KINDS.items() if self._has(kind))
 
     def __len__(self) -> int:
         return sum(1 for _ in self)
 
 
 #: Scenes by name.
-SCENES: Mapping[str, TestKind] = _MappingOfTestKindsWithTool()
+SCENES: Mapping[str, TestKind] = _MappingOfTestKinds(lambda kind: not kind.has_gripped_ends)
+#: Simulated tests by name.
+SIMULATED: Mapping[str, TestKind] = _MappingOfTestKinds(lambda kind: kind.is_simulated)

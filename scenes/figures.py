@@ -26,6 +26,7 @@ from tissue_sim.fem.result_views import DrawableFields, HalfSectionGeometry, Sol
 from tissue_sim.files import write_bytes
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
+from tissue_sim.recording.curve_units import UNITS_OF_LOAD
 from tissue_sim.recording.recording import Recording
 
 #: Lateral forces below this fraction of the axial force are not drawn.
@@ -58,7 +59,11 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str |
         raise InputError(f"unknown field {field!r}; known: {', '.join(LABELS)}", field="field")
     if recording.fields is None:
         raise InputError("the recording has no fields. Simulate with fields=True", field="fields")
-    sample = _find_segment_end_or_deepest_sample(recording, segment)
+    motion, load_name = model.experiment.channels
+    units = UNITS_OF_LOAD[load_name]
+    displacement, force = (recording.channel(name) * factor for name, factor in (
+        (motion, units.motion_factor), (load_name, units.load_factor)))
+    sample = _find_segment_end_or_deepest_sample(recording, segment, displacement)
     tool, fields = model.experiment.tool, get_drawable_fields_or_none(recording.fields)
     if fields is None:
         raise InputError("the fields of this solver have no geometry and cannot be drawn", field="fields")
@@ -72,7 +77,7 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str |
     curves = ("curve", "time") if model.experiment.protocol.uses_force_control else ("curve",)
     if isinstance(fields.geometry(), SolidGeometry):
         axes = _draw_solid_panels_and_get_axes(figure, fields, field, sample,
-                                               model.experiment.tool_pose(recording.displacement[sample]),
+                                               model.experiment.tool_pose(recording.channel(motion)[sample]),
                                                tool, curves)
     else:
         axes = _draw_axisymmetric_panels_and_get_axes(figure, fields, field, sample, tool, curves)
@@ -81,22 +86,26 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str |
         _draw_displacement_against_time(axes["time"], recording, sample)
     if reference is not None:
         curve.plot(reference.displacement * 1e3, reference.force, color="0.25", linewidth=1, label=reference.name)
-    depth = recording.displacement[sample] * 1e3
-    lateral = {name: recording.channel(f"F{name}") for name in "xy" if f"F{name}" in recording}
-    for (name, force), dashes in zip(lateral.items(), ("--", ":"), strict=False):
-        if abs(force).max() > _LEAST_LATERAL_FORCE * abs(recording.force).max():
-            curve.plot(recording.displacement * 1e3, force, color="#0072B2", linestyle=dashes, label=f"along {name}")
-    curve.plot(recording.displacement * 1e3, recording.force, color="#0072B2", marker="o", markersize=3,
-               linestyle="none" if reference else "-", label="simulated" if reference else "along the tool")
+    depth = displacement[sample]
+    # Components of the force normal to the motion; of a torque none is drawn.
+    axis = (0.0, 0.0, 1.0) if model.experiment.grip is None else model.experiment.grip.axis
+    lateral = {name: recording.channel(f"F{name}") for name, part in zip("xyz", axis, strict=True)
+               if not part and f"F{name}" in recording and load_name == "force"}
+    for (name, aside), dashes in zip(lateral.items(), ("--", ":"), strict=False):
+        if abs(aside).max() > _LEAST_LATERAL_FORCE * abs(force).max():
+            curve.plot(displacement, aside, color="#0072B2", linestyle=dashes, label=f"along {name}")
+    curve.plot(displacement, force, color="#0072B2", marker="o", markersize=3,
+               linestyle="none" if reference else "-", label="simulated" if reference else "along the motion")
     if len(curve.lines) > 1:
         curve.legend(frameon=False)
-    curve.plot(depth, recording.force[sample], color="#D55E00", marker="o", markersize=8, fillstyle="none")
-    curve.set_xlabel("displacement [mm]")
-    curve.set_ylabel("force [N]")
-    curve.set_xlim(left=min(0.0, recording.displacement.min() * 1e3))
+    curve.plot(depth, force[sample], color="#D55E00", marker="o", markersize=8, fillstyle="none")
+    curve.set_xlabel(units.motion_label)
+    curve.set_ylabel(units.load_label)
+    curve.set_xlim(left=min(0.0, displacement.min()))
     curve.grid(alpha=0.3)
     curve.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(f"{model.material.energy_law.title}: {recording.force[sample]:.4g} N at {depth:.3g} mm")
+    figure.suptitle(f"{model.material.energy_law.title}: {force[sample]:.4g} {units.load_unit} at "
+                    f"{depth:.3g}{units.motion_unit}")
     warnings = recording.metadata.get("solver", {}).get("warnings", [])
     if warnings:
         curve.set_title("\n".join(textwrap.wrap("; ".join(warnings), 60)), fontsize=8, color="#a33c00")
@@ -156,10 +165,10 @@ def _draw_displacement_against_time(axes, recording: Recording, sample: int) -> 
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _find_segment_end_or_deepest_sample(recording: Recording, segment: str | None) -> int:
+def _find_segment_end_or_deepest_sample(recording: Recording, segment: str | None, displacement: np.ndarray) -> int:
     """Return the index of the last sample of the named segment; None as the name gives the deepest sample."""
     if segment is None:
-        return int(np.argmax(recording.displacement))
+        return int(np.argmax(displacement))
     samples = np.flatnonzero(recording.labels.get("segment", np.empty(0, str)) == segment)
     if not samples.size:
         known = ", ".join(np.unique(recording.labels["segment"])) if "segment" in recording.labels else "none"

@@ -22,7 +22,8 @@ class Model:
         rig: load frame and sensor.
 
     Raises:
-        InputError: lateral walls around an incompressible material, whose force would be infinite.
+        InputError: lateral walls around an incompressible material, whose force would be infinite; or a rig that is not
+            ideal for a grip that rotates.
 
     Examples:
         >>> from tissue_sim import KINDS, Bulk, Protocol, Specimen, simulate
@@ -42,6 +43,9 @@ class Model:
         if self.experiment.has_lateral_wall and math.isinf(self.material.bulk_modulus):
             raise InputError("must be finite between lateral walls; got an incompressible material. State bulk.K_Pa or "
                              "another bulk response", field="bulk")
+        if self.experiment.grip is not None and self.experiment.grip.is_rotation and not self.rig.is_ideal:
+            raise InputError("must be ideal for angle and torque, because its effects are those on displacement and "
+                             "force; got another rig. Leave the rig out", field="rig")
 
     @property
     def is_path_dependent(self) -> bool:

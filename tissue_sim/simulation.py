@@ -17,11 +17,13 @@ from typing import Any, Protocol
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
+from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
 from tissue_sim.fem.stepping import STEPS_TO_POSE
 from tissue_sim.laws import find_stability_range
 from tissue_sim.model import Model
 from tissue_sim.pose import Screw
+from tissue_sim.recording.curve_units import FORCE_UNITS, UNITS_OF_LOAD, CurveUnits
 from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.loading_curve import FirstLoadingCurveWithHistory
 from tissue_sim.tool_drive import ToolDrive
@@ -61,26 +63,28 @@ class RelativeForceErrorEstimate:
     compared: int
     shorter: bool = False
 
-    def warning_or_none(self, displacement: np.ndarray, remedy: str) -> str | None:
+    def warning_or_none(self, displacement: np.ndarray, remedy: str, units: CurveUnits = FORCE_UNITS) -> str | None:
         """Return the warning of a large error or of an error that is unknown from a sample on; None: no warning.
 
         Args:
-            displacement: of all samples, m, shape (n,).
+            displacement: of all samples, m, shape (n,); or angle, rad.
             remedy: what the user can do about a large error.
+            units: units of the motion and the load.
         """
         if self.compared < displacement.size - 1:
-            return (f"the error of the force is unknown after sample {self.compared + 1} of {displacement.size} "
-                    f"({displacement[self.compared] * 1e3:.3g} mm), because the simulations on another mesh did not "
-                    f"converge; the error of the earlier samples is about {100 * self.fraction:.2g} % of the largest "
-                    "force; use more samples")
+            return (f"the error of the {units.load_name} is unknown after sample {self.compared + 1} of "
+                    f"{displacement.size} ({units.format_motion(displacement[self.compared], 3)}), because the "
+                    "simulations on another mesh did not converge; the error of the earlier samples is about "
+                    f"{100 * self.fraction:.2g} % of the largest {units.load_name}; use more samples")
         if self.fraction <= FORCE_ERROR.warning_fraction:
             return None
-        there = displacement[self.first: self.last + 1] * 1e3
-        places = f"{there[-1]:.3g} mm" if self.first == self.last else f"{there.min():.3g} to {there.max():.3g} mm"
+        there = displacement[self.first: self.last + 1]
+        places = units.format_motion(there[-1], 3) if self.first == self.last else (
+            f"{units.motion_factor * there.min():.3g} to {units.format_motion(there.max(), 3)}")
         seen = "in steps a quarter as long it differs by three quarters of that" if self.shorter else \
             "in other steps it differs by as much"
-        return (f"the force may err by about {100 * self.fraction:.2g} % of its largest at {places}: on another mesh "
-                f"and {seen}; {remedy}")
+        return (f"the {units.load_name} may err by about {100 * self.fraction:.2g} % of its largest at {places}: on "
+                f"another mesh and {seen}; {remedy}")
 
 
 def select_fractional_samples_for_longer_steps(displacement: np.ndarray) -> np.ndarray:
@@ -274,13 +278,15 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     Returns:
         Recording at the times of the protocol, with its labels, as the rig reports it. The displacement is that along
         the tool's direction of motion, and the force is the component opposite to this direction, as a load cell on the
-        stage measures it. If the wrench has other components than a force along z, the channels Fx to Tz contain it in
-        the frame of the scene. ``metadata["solver"]`` contains status, message, warnings, force_error (over the largest
-        force; None if unknown), newton_iterations (linear solves), cuts, residual (the largest), dissipated_J (by
-        artificial damping), wall_s, element, mesh and resolution; with a prescribed force largest_tool_displacement_mm;
-        with contact penetration_mm (the largest violation of
-        a contact condition) and penetration_tolerance_mm; with friction slipping_points (the largest number); with
-        self-weight self_weight {density_kg_m3, gravity_m_s2, height_is, sag_mm, moulded_height_mm}.
+        stage measures it; for a grip that rotates, the channels are angle and torque. If the wrench has other
+        components than a force along z, the channels Fx to Tz contain it in the frame of the scene.
+        ``metadata["solver"]`` contains status, message, warnings, force_error (over the largest force; None if
+        unknown), newton_iterations (linear solves), cuts, residual (the largest), dissipated_J (by artificial damping),
+        wall_s, element, mesh and resolution; with a prescribed force largest_tool_displacement_mm; with contact
+        penetration_mm (the largest violation of a contact condition) and penetration_tolerance_mm; with friction
+        slipping_points (the largest number); with self-weight self_weight {density_kg_m3, gravity_m_s2, height_is,
+        sag_mm, moulded_height_mm}; of a gripped specimen ends, "bonded to rigid grips": unlike in the closed form of
+        such a test the deformation is not homogeneous.
 
     Raises:
         ConvergenceError: the smallest step did not converge, or no displacement gives a prescribed force; `recording`
@@ -307,20 +313,15 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     if watch:
         watch.before_first_step(tissue)
     wrenches, travels, samples = list[Screw](), list[float](), list[Any]()
-    report = {"warnings": [], "force_error": None, "newton_iterations": 0, "cuts": 0, "residual": 0.0,
-              "dissipated_J": 0.0, **tissue.get_recording_metadata()}
+    report = _make_report_without_steps(tissue, model.experiment)
     report["resolution"] = resolution if mesh is None else "own mesh"
-    if "self_weight" in report:
-        specimen = model.experiment.specimen
-        report["self_weight"] = {"density_kg_m3": specimen.density, "gravity_m_s2": specimen.gravity,
-                                 "height_is": specimen.height_is, **report["self_weight"]}
 
     def make_recording(status: str, message: str) -> Recording:
-        done, wrench = len(wrenches), np.array(wrenches).reshape(-1, 6)
+        done, wrench, (motion, load) = len(wrenches), np.array(wrenches).reshape(-1, 6), model.experiment.channels
         solved = {"status": status, "message": message, **report}
         solved.setdefault("wall_s", time.perf_counter() - started)
-        channels = {"time": drive.protocol.time[:done], "displacement": np.array(drive.reported),
-                    "force": np.array([model.experiment.compute_force_against_motion(one) for one in wrenches])}
+        channels = {"time": drive.protocol.time[:done], motion: np.array(drive.reported),
+                    load: np.array([model.experiment.compute_force_against_motion(one) for one in wrenches])}
         if wrench[:, [0, 1, 3, 4, 5]].any():
             channels |= zip(_WRENCH, wrench.T, strict=True)
         true = Recording(channels, labels={name: values[:done] for name, values in drive.protocol.labels.items()},
@@ -337,12 +338,14 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             report["cuts"] += step.status is not StepStatus.CONVERGED
             report["dissipated_J"] += step.dissipated
         if step.status is not StepStatus.CONVERGED:
-            message = _describe_failure(drive, model, step, tissue.pose.depth, f"{goal} (sample {sample + 1})")
+            reached = model.experiment.compute_displacement_on_path(tissue.pose, near=drive.travel)
+            message = _describe_failure(drive, model, step, reached, f"{goal} (sample {sample + 1})")
             solved = make_recording("not_converged", message) if wrenches else None
             raise ConvergenceError(message, recording=solved, depth=tissue.pose.depth)
         _store_larger_values_in_report(report, step)
         wrenches.append(drive.register_sample_and_scale_wrench(step.wrench, dt))
-        if (size := math.hypot(*wrenches[-1][:3])) >= largest:
+        vector = wrenches[-1][3:] if protocol.prescribes_angle else wrenches[-1][:3]
+        if (size := math.hypot(*vector)) >= largest:
             largest, report["warnings"] = size, list(tissue.warnings())
         travels.append(drive.travel)
         if protocol.uses_force_control:
@@ -361,6 +364,19 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     return make_recording("converged", f"converged at every sample{cuts}")
 
 
+def _make_report_without_steps(tissue: Solver, experiment: Experiment) -> dict[str, Any]:
+    """Return ``metadata["solver"]`` before the first step; see `simulate`."""
+    report = {"warnings": [], "force_error": None, "newton_iterations": 0, "cuts": 0, "residual": 0.0,
+              "dissipated_J": 0.0, **tissue.get_recording_metadata()}
+    if experiment.grip is not None:
+        report["ends"] = "bonded to rigid grips"
+    if "self_weight" in report:
+        specimen = experiment.specimen
+        report["self_weight"] = {"density_kg_m3": specimen.density, "gravity_m_s2": specimen.gravity,
+                                 "height_is": specimen.height_is, **report["self_weight"]}
+    return report
+
+
 def _describe_failure(drive: ToolDrive, model: Model, step: Step, depth: float, goal: str) -> str:
     """Return the message of a test whose last step did not converge.
 
@@ -368,11 +384,11 @@ def _describe_failure(drive: ToolDrive, model: Model, step: Step, depth: float, 
         drive: motion of the tool.
         model: model of the test.
         step: last step.
-        depth: depth that was reached, m.
+        depth: displacement, m, or angle, rad, that was reached.
         goal: description of the sample that was not reached.
     """
     cause = drive.failure or f"the step cut to {STEPS_TO_POSE.smallest_cut:.1g} of its length: {step.status.message}"
-    message = f"stopped at {depth * 1e3:.4g} mm on the way to {goal}, {cause}"
+    message = f"stopped at {model.experiment.format_displacement(depth)} on the way to {goal}, {cause}"
     stability = find_stability_range(model.material.energy_law, model.material.values)
     if step.status is StepStatus.INDEFINITE or not stability.is_stable_in_whole_range:
         message += f"; the law alone is {stability}"
@@ -391,7 +407,8 @@ def _store_force_error_in_report(report: dict, tissue: Solver, drive: ToolDrive,
         return
     if found.compared == force.size - 1:
         report["force_error"] = found.fraction
-    warning = found.warning_or_none(np.array(drive.reported), _REMEDIES.get(resolution, _REMEDY))
+    warning = found.warning_or_none(np.array(drive.reported), _REMEDIES.get(resolution, _REMEDY),
+                                    UNITS_OF_LOAD[model.experiment.channels[1]])
     if warning is not None:
         report["warnings"] = [warning, *report["warnings"]]
 
@@ -465,6 +482,7 @@ def _expect_reached_depth(model: Model, **options: Any) -> Model:
 
     The contact radius of a rounded tool grows with its depth. The depth is first estimated by Hertz's formula, and then
     taken from a simulation whose contact radius is near that of its mesh. A stated `Protocol.expected_depth` is kept.
+    On a given mesh without contact laws and drainage the estimate suffices, because nothing else depends on the radius.
 
     Args:
         model: model with a force-controlled protocol.
@@ -477,7 +495,8 @@ def _expect_reached_depth(model: Model, **options: Any) -> Model:
     contact = partial(experiment.tool.contact_radius, specimen_radius=experiment.specimen.margin())
     if experiment.protocol.expected_depth is not None or contact(depth) == contact(0.5 * depth):
         return model
-    for _ in range(_SETTINGS.most_meshes):
+    uses_radius = bool(experiment.acting_laws) or model.material.poroelasticity is not None
+    for _ in range(_SETTINGS.most_meshes if uses_radius or options["mesh"] is None else 0):
         expected = replace(experiment, protocol=replace(experiment.protocol, expected_depth=depth))
         model = replace(model, experiment=expected)
         reached = simulate(model, estimate_error=False, **options).metadata["solver"]["largest_tool_displacement_mm"]

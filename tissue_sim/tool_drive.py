@@ -203,6 +203,9 @@ class ToolDrive:
         model: experiment, material and rig.
         options: options of each step of the solver, such as its tolerance.
 
+    Raises:
+        InputError: a grip rotates, and an effect of the material scales the force by the displacement.
+
     Attributes:
         protocol: protocol with the samples that are known so far; see `Protocol.append_remaining_segments`.
         reported: displacement that the stage reports at each sample so far, m.
@@ -213,7 +216,10 @@ class ToolDrive:
     def __init__(self, solver: Solver, model: Model, **options: Any):
         self._solver, self._model, self._experiment, self._options = solver, model, model.experiment, options
         self._reduced = CombinedForceFactor(
-            model.material.list_acting_force_scaling_effects(plate=model.experiment.tool.is_plate))
+            effects := model.material.list_acting_force_scaling_effects(plate=model.experiment.tool.is_plate))
+        if effects and model.experiment.protocol.prescribes_angle:
+            raise InputError(f"must not scale the force by a displacement in torsion; got {effects[0].name}. Remove "
+                             "the effect", field="material.effects")
         self.protocol = model.experiment.protocol
         self.reported: list[float] = []
         self.failure = ""
@@ -228,11 +234,11 @@ class ToolDrive:
     @property
     def combined_force_factor(self) -> float:
         """Factor of the effects in reduced form on the force at the present depth of the tool."""
-        return self._reduced.compute_force_factor_at_depth(self._solver.pose.depth)
+        return self._reduced.compute_force_factor_at_depth(self._depth_for_effects)
 
     def register_sample_and_scale_wrench(self, wrench: Screw, dt: float) -> Screw:
         """Register a converged sample, dt s after the last one; returns its wrench with effects in reduced form."""
-        wrench = scale_screw(self._reduced.record_depth_and_get_force_factor(self._solver.pose.depth, dt), wrench)
+        wrench = scale_screw(self._reduced.record_depth_and_get_force_factor(self._depth_for_effects, dt), wrench)
         force = self._experiment.compute_force_against_motion(wrench)
         number, rig = len(self.reported), self._model.rig
         self._readings.append(rig.compute_reading_without_noise(
@@ -252,7 +258,7 @@ class ToolDrive:
         After a change of control that depends on the response, `protocol` grows by the following segments. If a segment
         cannot start from the response, the step of the last sample has not converged.
         """
-        rig, is_in_air = self._model.rig, True
+        rig, is_in_air = self._model.rig, self._experiment.grip is None
         while True:
             protocol, first = self.protocol, len(self.reported)
             waits = np.diff(protocol.time, prepend=protocol.time[0]).tolist()
@@ -270,7 +276,7 @@ class ToolDrive:
                     positions = rig.compute_unloaded_tool_displacement(motion).tolist()
                     for sample in range(first, end):
                         position, dt = positions[sample], waits[sample]
-                        goal = _Goal(1.0, rig.compliance, position, 0.0, f"{position * 1e3:.4g} mm")
+                        goal = _Goal(1.0, rig.compliance, position, 0.0, self._experiment.format_displacement(position))
                         if is_in_air and position < 0.0:
                             # Nothing is solved.
                             self.travel, self._last = position, replace(self._last, depth=position)
@@ -296,7 +302,7 @@ class ToolDrive:
         segment, cycle = (None if labels is None else labels[:done]
                           for labels in (self.protocol.segment, self.protocol.cycle))
         return Protocol(self.protocol.time[:done], np.array(self.reported), segment, cycle,
-                        expected_depth=self.protocol.expected_depth)
+                        expected_depth=self.protocol.expected_depth, prescribes_angle=self.protocol.prescribes_angle)
 
     def compute_prescribed_motion(self) -> np.ndarray:
         """Return a dimensionless motion that increases, rests and decreases with the prescribed quantity, shape (n,).
@@ -397,8 +403,8 @@ class ToolDrive:
         if not goal.displacement_weight:
             _, travel, force = closest
             force = 0.0 if abs(force) <= goal.tolerance * goal.scale else force
-            self.failure = (f"no displacement of the tool gives this force; at {travel * 1e3:.4g} mm the force is "
-                            f"{force:.4g} N. "
+            self.failure = (f"no displacement of the tool gives this force; at "
+                            f"{self._experiment.format_displacement(travel)} the force is {force:.4g} N. "
                             + ("The tool lifts off at a smaller pull. Pull with a smaller force, or prescribe the "
                                "displacement" if lifts_off else "Use smaller forces or more samples"))
         yield replace(step, status=StepStatus.SLOW, iterations=0)
@@ -409,14 +415,18 @@ class ToolDrive:
         """Tolerance of the position of a tool that touches without a force, m."""
         return TOOL_SEARCH.position_tolerance * max(abs(self.travel), _SMALLEST_DISPLACEMENT)
 
+    @property
+    def _depth_for_effects(self) -> float:
+        """Depth of a tool, or displacement of a grip, m, at the state of the solver, for effects in reduced form."""
+        return self._solver.pose.depth if self._experiment.grip is None else self._get_displacement_of_solver()
+
     def _get_displacement_of_solver(self) -> float:
         """Return the displacement of the tool along its direction of motion at the state of the solver, m."""
-        approach = self._experiment.approach
-        return self._solver.pose.depth / (1.0 if approach is None else math.cos(approach.angle))
+        return self._experiment.compute_displacement_on_path(self._solver.pose, near=self.travel)
 
     def _compute_trial_force(self, step: Step, dt: float) -> float:
         """Return the force of a converged step with effects in reduced form, N."""
-        share = self._reduced.compute_force_factor_at_depth(self._solver.pose.depth, dt)
+        share = self._reduced.compute_force_factor_at_depth(self._depth_for_effects, dt)
         return share * self._experiment.compute_force_against_motion(step.wrench)
 
     def _start_search(self, goal: _Goal) -> SafeguardedSecant:
@@ -433,7 +443,9 @@ class ToolDrive:
         least = TOOL_SEARCH.first_step * thickness
         limit = max(least, TOOL_SEARCH.expansion * abs(last.change))
         change = missing / predicted if predicted else math.copysign(least, missing) if missing else 0.0
-        highest = min(TOOL_SEARCH.deepest * thickness, self._experiment.largest_accurate_depth)
+        # Grips may move apart without limit.
+        highest = math.inf if self._experiment.grip is not None else min(
+            TOOL_SEARCH.deepest * thickness, self._experiment.largest_accurate_depth)
         return SafeguardedSecant(last.depth + min(max(change, -limit), limit), slope or None, least_slope=0.0,
                                  first_step=least, lowest=-thickness, highest=highest)
 

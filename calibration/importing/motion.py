@@ -59,11 +59,13 @@ def _iterate_signal_based_assumptions(screening: Screening, contact: Contact | N
                          (AlternativeValue("the load cell is saturated", None, "--control displacement"),),
                          "--control force")
     elif control is not None and control.quantity is not None:
-        evidence = {"creep": "the force is constant while the displacement creeps",
-                    "staircase": "the displacement is constant in several holds under load",
-                    "ramp and hold": "the displacement is constant in a hold under load"}.get(
-            control.pattern, f"the {control.quantity} is a line in time, the other channel is not")
-        yield Assumption("controlled quantity", f"{control.quantity} ({control.pattern})", (evidence,))
+        motion, load = ("angle", "torque") if units.load_name == "torque" else ("displacement", "force")
+        quantity = {"displacement": motion, "force": load}.get(control.quantity, control.quantity)
+        evidence = {"creep": f"the {load} is constant while the {motion} creeps",
+                    "staircase": f"the {motion} is constant in several holds under load",
+                    "ramp and hold": f"the {motion} is constant in a hold under load"}.get(
+            control.pattern, f"the {quantity} is a line in time, the other channel is not")
+        yield Assumption("controlled quantity", f"{quantity} ({control.pattern})", (evidence,))
     elif control is not None and control.pattern == "oscillation":
         yield Assumption("controlled quantity", "oscillation", (
             f"{control.frequency:.3g} Hz" + ("" if control.loss_factor is None else

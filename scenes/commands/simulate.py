@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenes.catalogue import SCENES, make_kind_specimen_tool_metadata
+from scenes.catalogue import SIMULATED, make_kind_specimen_tool_metadata
 from scenes.commands.shared.command import Command, CommandResult
 from scenes.commands.shared.console import TABLES, display_task
 from scenes.commands.shared.experiment_flags import (
@@ -43,12 +43,12 @@ FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 #: Largest value of ``--replicates``.
 MAX_REPLICATES = 1000
 #: Entries of the solver report that appear in the JSON object only if they apply to the test.
-OPTIONAL_KEYS = ("force_error", "penetration_mm", "penetration_tolerance_mm", "slipping_points", "self_weight")
+OPTIONAL_KEYS = ("force_error", "penetration_mm", "penetration_tolerance_mm", "slipping_points", "self_weight", "ends")
 
 
 def _add_scene_and_material(parser: InputErrorArgumentParser) -> None:
     """Add the scene and ``--material``."""
-    parser.add_argument("scene", metavar="SCENE", help=f"test to simulate: {', '.join(SCENES)}")
+    parser.add_argument("scene", metavar="SCENE", help=f"test to simulate: {', '.join(SIMULATED)}")
     parser.add_argument("--material", type=Path, required=True, metavar="FILE",
                         help="material file NAME.material.json (tissue-sim material new or calibrate writes it)")
 
@@ -86,7 +86,7 @@ def _run(arguments: Namespace) -> CommandResult:
         InputError: files that cannot be written, or flags and values that the test does not accept.
         ConvergenceError: the solver stopped early; its partial curve was printed and written.
     """
-    require_known_scene(arguments.scene)
+    require_known_scene(arguments.scene, allows_grips=True)
     outputs = make_replicate_curve_paths(arguments.output, arguments.replicates)
     for path in outputs:
         check_output_file(path, "-o", overwrite=arguments.overwrite, suffixes=(".csv",))
@@ -118,7 +118,7 @@ def _run(arguments: Namespace) -> CommandResult:
     # that controls the force reads the sensor, so that only noise and sampling are applied below.
     simulated, read = (rig.without_sampling_effects, rig.with_sampling_effects_only) if protocol.uses_force_control \
         else (rig.with_motion_effects_only, rig)
-    model = ts.Model(experiment, material_file.material, simulated)
+    model = replace(ts.Model(experiment, material_file.material, rig), rig=simulated)
     failure = None
     estimates_error = not (arguments.no_force_error or experiment.slip) and arguments.solver == "axisymmetric"
     with display_task("simulating", quiet=arguments.json) as status:
@@ -144,8 +144,7 @@ def _run(arguments: Namespace) -> CommandResult:
         from scenes.figures import draw_simulation
 
         draw_simulation(recording, model, arguments.figure, field=arguments.field)
-    warnings = [*list_warnings_if_test_leaves_range(material_file, recording, experiment.specimen.height,
-                                                    has_lateral_wall=experiment.has_lateral_wall),
+    warnings = [*list_warnings_if_test_leaves_range(material_file, recording, experiment),
                 *recording.metadata.get("solver", {}).get("warnings", [])]
     result = CommandResult(
         lambda: make_simulation_json_object(recordings, arguments.resolution, failure, warnings,
@@ -251,9 +250,8 @@ def make_simulation_json_object(recordings: Sequence[Recording], resolution: str
     recording = recordings[0]
     solver = recording.metadata.get("solver", {})
     answer = {
-        "displacement_mm": (recording.displacement * 1e3).tolist(),
+        **_make_curve_entries(recording),
         "time_s": recording.time.tolist(),
-        "force_N": recording.force.tolist(),
         **_make_wrench_entries(recording),
         **{name: labels.tolist() for name, labels in recording.labels.items()},
         "status": solver.get("status", "failed" if failure else "converged"),
@@ -266,9 +264,18 @@ def make_simulation_json_object(recordings: Sequence[Recording], resolution: str
         **{key: solver[key] for key in OPTIONAL_KEYS if solver.get(key) is not None},
     }
     if replicates:
-        answer["replicates"] = [{"displacement_mm": (one.displacement * 1e3).tolist(), "force_N": one.force.tolist(),
-                                 "seed": one.metadata["seed"]} for one in recordings]
+        answer["replicates"] = [{**_make_curve_entries(one), "seed": one.metadata["seed"]} for one in recordings]
     return answer
+
+
+def _make_curve_entries(recording: Recording) -> dict[str, list[float]]:
+    """Return displacement and force, or angle and torque, as JSON entries."""
+    if "torque" in recording:
+        import numpy as np
+
+        return {"angle_deg": np.degrees(recording.channel("angle")).tolist(),
+                "torque_Nm": recording.channel("torque").tolist()}
+    return {"displacement_mm": (recording.displacement * 1e3).tolist(), "force_N": recording.force.tolist()}
 
 
 def _make_wrench_entries(recording: Recording) -> dict[str, Any]:
@@ -281,7 +288,8 @@ def _make_wrench_entries(recording: Recording) -> dict[str, Any]:
 
 
 def print_force_curve(recording: Recording, title: str, console: Console) -> None:
-    """Print force against displacement, with time and segment if the protocol has several segments."""
+    """Print the load against the motion, with time and segment if the protocol has several segments."""
+    import numpy as np
     from rich.table import Table
     from rich.text import Text
 
@@ -294,9 +302,13 @@ def print_force_curve(recording: Recording, title: str, console: Console) -> Non
         table.add_column("segment")
         columns.append([segments[row] for row in rows])
     curves = [("time", recording.time, "s")] if several else []
-    curves += [("displacement", recording.displacement * 1e3, "mm"), ("force", recording.force, "N")]
+    if "torque" in recording:
+        curves += [("angle", np.degrees(recording.channel("angle")), "deg"),
+                   ("torque", recording.channel("torque"), "Nm")]
+    else:
+        curves += [("displacement", recording.displacement * 1e3, "mm"), ("force", recording.force, "N")]
     for quantity, values, unit in curves:
-        factor, prefix = (1e3, "m") if 0 < abs(values).max() < 0.1 and unit == "N" else (1.0, "")
+        factor, prefix = (1e3, "m") if 0 < abs(values).max() < 0.1 and unit in ("N", "Nm") else (1.0, "")
         # Text instead of str, because rich interprets brackets in a str as markup.
         table.add_column(Text(f"{quantity} [{prefix}{unit}]"), justify="right")
         columns.append(format_number_column(values[rows] * factor))
@@ -340,6 +352,8 @@ def print_mesh_cost_and_remarks(recording: Recording, console: Console) -> None:
 
 def iterate_error_contact_and_weight_remarks(solver: dict) -> Iterator[str]:
     """Yield one sentence each on force error, penetration, friction and self-weight, as far as they apply."""
+    if "ends" in solver:
+        yield (f"ends of the specimen: {solver['ends']}, which the closed form of this test does not model")
     if solver.get("force_error") is not None:
         yield (f"estimated force error: {100 * solver['force_error']:.2g} % of the largest force, from a comparison "
                "with another mesh and longer steps")

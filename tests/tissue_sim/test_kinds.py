@@ -9,6 +9,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes import SCENES
+from scenes.catalogue import SIMULATED
 from tissue_sim.experiment.contact_law import validate_and_normalise_interface
 from tissue_sim.recording.recording import CHANNELS
 
@@ -19,6 +20,7 @@ HOMOGENEOUS = [name for name, kind in ts.KINDS.items() if kind.closed_form is no
 
 def test_those_with_a_tool_are_the_scenes():
     assert set(SCENES) == {name for name, kind in ts.KINDS.items() if kind.tool is not None}
+    assert set(SIMULATED) == set(SCENES) | {"uniaxial_tension", "simple_shear", "torsion", "planar_tension"}
     with pytest.raises(KeyError):
         SCENES["simple_shear"]
 
@@ -35,9 +37,18 @@ def test_a_kind_is_what_its_parts_know(name):
 @EVERY
 def test_its_experiment(name):
     kind, setting = ts.KINDS[name], {"specimen": ts.Specimen(0.04, 0.07), "protocol": ts.Protocol.ramp(0.01)}
-    if kind.has_gripped_ends:
+    if not kind.is_simulated:
         with pytest.raises(ts.InputError, match="has no tool and is not simulated"):
             kind.experiment(**setting)
+        return
+    if kind.has_gripped_ends:
+        if kind.specimen_shapes == ("block",):
+            setting["specimen"] = ts.Block(0.04, 0.04, 0.07)
+        if kind.grip.is_rotation:
+            setting["protocol"] = ts.Protocol.parse("ramp 30deg @1deg/s")
+        experiment = kind.experiment(**setting)
+        assert experiment.tool.is_plate and experiment.friction == experiment.friction_base == "bonded"
+        assert experiment.channels == kind.channels[0] and experiment.grip == kind.grip
         return
     experiment = kind.experiment(**setting)
     assert experiment.tool == kind.tool and kind.allows_tool(experiment.tool)

@@ -12,6 +12,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.adhesion import Adhesion
 from tissue_sim.experiment.contact_law import AS_TOOL, LARGEST_FRICTION, ContactLaw, validate_and_normalise_interface
+from tissue_sim.experiment.grip import GripMotion
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.parameters import parameter
@@ -116,6 +117,8 @@ class Experiment:
         contact_laws: additional laws by name; see `tissue_sim.experiment.contact_law`. A sequence of laws is accepted.
         approach: offset and angle of the tool; None: on the axis. Only three-dimensional solvers accept another one.
         has_lateral_wall: whether rigid walls without friction hold the side of the specimen between two bonded plates.
+        grip: motion of the upper plate along the displacements or angles of the protocol if rigid grips hold both ends;
+            both plates are then bonded. None: the tool moves along -z, or along `approach`.
 
     Raises:
         InputError: an interface that does not fit, a protocol deeper than the specimen, a needle as wide as the
@@ -135,6 +138,7 @@ class Experiment:
     contact_laws: Mapping[str, ContactLaw] = field(default_factory=dict)
     approach: Approach | None = None
     has_lateral_wall: bool = False
+    grip: GripMotion | None = None
     with_free_faces = OldName("with_slipping_faces_frictionless")
     base_interface = OldName("resolved_base_interface")
 
@@ -165,7 +169,12 @@ class Experiment:
         if (thickness := self.thickness) <= 0.0 and self.approach is not None:
             raise InputError(f"the specimen has no tissue {abs(self.approach.offset) * 1e3:g} mm off the axis, "
                              f"{self.specimen.in_words}", field="approach.offset")
-        if self.protocol.depth >= thickness:
+        if self.grip is not None:
+            self._require_gripped_specimen(self.grip)
+        elif self.protocol.prescribes_angle:
+            raise InputError("must prescribe displacements or forces of a tool; got angles. State lengths, such as "
+                             "ramp 10mm", field="protocol")
+        elif self.protocol.depth >= thickness:
             raise InputError(f"a depth of {self.protocol.depth * 1e3:g} mm is deeper than the specimen is high "
                              f"({thickness * 1e3:g} mm)", field="protocol")
         if (self.adhesion or self.contact_laws) and self.friction == "bonded":
@@ -212,6 +221,33 @@ class Experiment:
         if self.slip:
             self.with_slipping_faces_frictionless()
 
+    def _require_gripped_specimen(self, grip: GripMotion) -> None:
+        """Refuse what has no model between rigid grips.
+
+        Raises:
+            InputError: plates that are not bonded, a specimen that is not a prism, self-weight, a tilted face, slip, a
+                protocol of another quantity, or grips that meet.
+        """
+        if not (self.tool.is_plate and self.friction == self.resolved_base_interface == "bonded"):
+            raise InputError("must be 'bonded' at both grips, which are plates; got a "
+                             f"{self.tool.shape} with {self.friction!r}, and {self.resolved_base_interface!r}. Leave "
+                             "tool and interfaces out", field="friction")
+        if not self.specimen.is_prism:
+            raise InputError(f"must have a constant cross-section between grips; got {self.specimen.in_words}. Use a "
+                             "cylinder or a block", field="specimen")
+        for name, value in (("specimen.gravity", self.specimen.specific_weight), ("tilt", self.tilt),
+                            ("slip", self.slip or 0.0)):
+            if value:
+                raise InputError(f"must be 0 between grips; got {value:g}. Leave it out", field=name)
+        if self.protocol.prescribes_angle != grip.is_rotation:
+            found, remedy = ("lengths or forces", "an angle, such as ramp 30deg @1deg/s") if grip.is_rotation else (
+                "angles", "a length, such as ramp 10mm")
+            raise InputError(f"must prescribe the motion of the grip; got {found}. State {remedy}", field="protocol")
+        closest = float(np.nanmin(np.append(grip.axis[2] * self.protocol.displacement, np.inf)))
+        if not grip.is_rotation and closest <= -self.specimen.height:
+            raise InputError(f"must be above {-self.specimen.height * 1e3:g} mm, where the grips meet; got "
+                             f"{closest * 1e3:g} mm", field="protocol")
+
     def _make_default_base_interface(self) -> str:
         """Return the interface of the base if the experiment does not state one."""
         if not self.tool.is_plate or not self.specimen.is_flat:
@@ -242,16 +278,47 @@ class Experiment:
         return min(SHARP_FACE.radius_fraction * self.tool.require_radius(), SHARP_FACE.height_fraction * self.thickness)
 
     def tool_pose(self, displacement: float) -> Pose:
-        """Pose of the tool at a displacement of the protocol, m."""
-        return Pose.at_depth(displacement) if self.approach is None else self.approach.pose(displacement)
+        """Pose of the tool at a displacement of the protocol, m, or at an angle of a grip, rad."""
+        path = self._path
+        return Pose.at_depth(displacement) if path is None else path.pose(displacement)
 
     def compute_force_against_motion(self, wrench: Screw) -> float:
-        """Return the force that a load cell on the stage measures, N: the component opposite to the tool's motion.
+        """Return the load that a cell on the stage measures: the component of the force, N, against the tool's motion.
+
+        For a grip that rotates the load is the component of the torque, N m.
 
         Args:
             wrench: force and torque on the tool, N and N m. For an upright tool the result is the force along z.
         """
-        return wrench[2] if self.approach is None else self.approach.compute_force_against_motion(wrench)
+        path = self._path
+        return wrench[2] if path is None else path.compute_force_against_motion(wrench)
+
+    @property
+    def _path(self) -> Approach | GripMotion | None:
+        """Path of the tool if it does not move along -z on the axis of the specimen."""
+        return self.grip or self.approach
+
+    @property
+    def channels(self) -> tuple[str, str]:
+        """Names of the channels of motion and load in a simulated recording."""
+        is_rotation = self.grip is not None and self.grip.is_rotation
+        return ("angle", "torque") if is_rotation else ("displacement", "force")
+
+    def format_displacement(self, value: float, digits: int = 4) -> str:
+        """Return a displacement, m, or an angle, rad, with its unit mm or deg, for messages."""
+        is_angle = self.protocol.prescribes_angle
+        return f"{math.degrees(value):.{digits}g} deg" if is_angle else f"{value * 1e3:.{digits}g} mm"
+
+    def compute_displacement_on_path(self, pose: Pose, near: float) -> float:
+        """Return the displacement, m, or the angle, rad, at a pose on the path of the tool; the inverse of `tool_pose`.
+
+        Args:
+            pose: pose on the path.
+            near: an angle within half a turn of the result.
+        """
+        if self.grip is not None:
+            return self.grip.compute_amount(pose, near)
+        return pose.depth / (1.0 if self.approach is None else math.cos(self.approach.angle))
 
     @property
     def resolved_base_interface(self) -> str | float:

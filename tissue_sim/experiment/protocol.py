@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -19,6 +20,7 @@ from tissue_sim.experiment.protocol_legs import (
     make_leg_or_none,
 )
 from tissue_sim.experiment.protocol_text import (
+    ANGLE,
     DISPLACEMENT,
     FORCE,
     ProtocolSegment,
@@ -92,6 +94,8 @@ class Protocol:
             displacement is prescribed at every sample.
         remaining: segments after the last sample whose start depends on the response of the specimen; see
             `append_remaining_segments`. None: no segments remain.
+        prescribes_angle: whether `displacement` contains angles of a grip, rad; see
+            `tissue_sim.experiment.grip.GripMotion`.
         expected_depth: displacement that force-controlled samples are expected to reach, m; the mesh under a rounded
             tool depends on this value. None: unknown; `tissue_sim.simulate` then finds the value.
 
@@ -112,6 +116,7 @@ class Protocol:
     force: np.ndarray = None  # type: ignore[assignment]
     remaining: RemainingSegments | None = None
     expected_depth: float | None = None
+    prescribes_angle: bool = False
 
     def __post_init__(self):
         self._store_read_only_array("time", np.array(self.time, dtype=float))
@@ -158,18 +163,19 @@ class Protocol:
         return self.remaining is not None or bool(self.is_force_controlled.any())
 
     def require_displacement_control(self, purpose: str, field: str = "protocol") -> None:
-        """Refuse a protocol that prescribes a force.
+        """Refuse a protocol that prescribes a force or an angle.
 
         Args:
             purpose: what requires prescribed displacements, for the message, such as ``the viewer``.
             field: name of the protocol in the message.
 
         Raises:
-            InputError: a force is prescribed.
+            InputError: a force or an angle is prescribed.
         """
-        if self.uses_force_control:
-            raise InputError(f"must prescribe displacements for {purpose}; got a prescribed force. State lengths, such "
-                             "as ramp 10mm, or use tissue_sim.simulate", field=field)
+        if self.uses_force_control or self.prescribes_angle:
+            raise InputError(f"must prescribe displacements for {purpose}; got a prescribed "
+                             f"{ANGLE if self.prescribes_angle else FORCE}. State lengths, such as ramp 10mm, or use "
+                             "tissue_sim.simulate", field=field)
 
     def resample_at_fractional_samples(self, samples: np.ndarray) -> Protocol:
         """Return the displacement-controlled protocol interpolated at fractional sample numbers.
@@ -181,11 +187,11 @@ class Protocol:
         Raises:
             InputError: a force is prescribed.
         """
-        self.require_displacement_control("resampling")
+        replace(self, prescribes_angle=False).require_displacement_control("resampling")
         numbers, later = np.arange(self.time.size), np.ceil(samples).astype(int)
         segment, cycle = (None if each is None else each[later] for each in (self.segment, self.cycle))
         return Protocol(np.interp(samples, numbers, self.time), np.interp(samples, numbers, self.displacement), segment,
-                        cycle)
+                        cycle, prescribes_angle=self.prescribes_angle)
 
     @classmethod
     def ramp(cls, depth: float, points: int = 21, speed: float = STUDY_SPEED) -> Protocol:
@@ -235,8 +241,16 @@ class Protocol:
         _require_valid_points_and_speed(points, speed)
         if points > MOST_SAMPLES:
             raise InputError(f"must be at most {MOST_SAMPLES}; got {points}.", field="protocol.points")
-        state = LoadingState({DISPLACEMENT: speed})
-        return _sample_segments(None, iterate_segments_with_repeats(parse_protocol(text)), state, points, math.inf)
+        state, segments = LoadingState({DISPLACEMENT: speed}), [*iterate_segments_with_repeats(parse_protocol(text))]
+        controls = {segment.control for segment in segments if segment.control is not None}
+        if ANGLE not in controls:
+            return _sample_segments(None, iter(segments), state, points, math.inf)
+        if len(controls) > 1:
+            other = next(segment for segment in segments if segment.control not in (None, ANGLE))
+            raise make_protocol_error(other.position, f"all segments must prescribe angles; got a {other.kind} that "
+                                      f"prescribes a {other.control}. State an angle such as 30deg")
+        return replace(_sample_segments(None, iter(segments), replace(state, control=ANGLE), points, math.inf),
+                       prescribes_angle=True)
 
     def append_remaining_segments(self, displacement: np.ndarray, force: np.ndarray) -> Protocol:
         """Return the protocol with the samples of its remaining segments, up to the next change of control.
@@ -288,10 +302,10 @@ def _sample_segments(before: Protocol | None, segments: Iterator[ProtocolSegment
 
     def append_samples(leg: MotionLeg, values: np.ndarray, times: np.ndarray) -> None:
         """Append samples of a leg."""
-        other = DISPLACEMENT if leg.control == FORCE else FORCE
+        own, other = (FORCE, DISPLACEMENT) if leg.control == FORCE else (DISPLACEMENT, FORCE)
         count = 1 if leg.wave is None else leg.wave.cycles
         cycles = leg.cycle + np.arange(values.size) * count // values.size
-        for name, new in ((leg.control, values.tolist()), (other, [math.nan] * values.size), ("time", times.tolist()),
+        for name, new in ((own, values.tolist()), (other, [math.nan] * values.size), ("time", times.tolist()),
                           ("segment", [leg.segment.kind] * values.size), ("cycle", cycles.tolist())):
             columns[name] += new
 
@@ -311,13 +325,13 @@ def _sample_segments(before: Protocol | None, segments: Iterator[ProtocolSegment
         if leg.speed:
             step = float(since[-1] / since.size)
         append_samples(leg, values, now + since)
-    return Protocol(**{name: np.array(values) for name, values in columns.items()}, remaining=remaining,
-                    expected_depth=None if before is None else before.expected_depth)
+    arrays: dict[str, Any] = {name: np.array(values) for name, values in columns.items()}
+    return Protocol(**arrays, remaining=remaining, expected_depth=None if before is None else before.expected_depth)
 
 
 def _sample_leg_values_and_times(leg: MotionLeg, now: float, points: int,
                                  step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return displacements or forces, and times, of the samples of a leg, without the sample at its start.
+    """Return displacements, forces or angles, and times, of the samples of a leg, without the sample at its start.
 
     Args:
         leg: displacement or force against time.

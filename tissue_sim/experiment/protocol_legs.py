@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from tissue_sim.experiment.protocol_text import (
+    ANGLE,
     DISPLACEMENT,
     FORCE,
     Control,
@@ -19,12 +20,12 @@ from tissue_sim.experiment.protocol_waves import WAVE_KINDS, Wave
 
 @dataclass(frozen=True)
 class MotionLeg:
-    """Part of a protocol in which the displacement or the force is linear in time or sinusoidal.
+    """Part of a protocol in which the displacement, the force or the angle is linear in time or sinusoidal.
 
     Attributes:
         segment: segment that the leg belongs to.
-        start, end: tool displacement, m, negative above the touch; or force, N.
-        speed: m/s or N/s; 0 in a hold; the largest speed of a sinusoid.
+        start, end: tool displacement, m, negative above the touch; force, N; or angle, rad.
+        speed: m/s, N/s or rad/s; 0 in a hold; the largest speed of a sinusoid.
         duration: s.
         cycle: number of the load cycle, from 1; a cycle begins where the tool turns into the tissue again. Each cycle
             of a sinusoid is a load cycle; the number is that of the first one.
@@ -44,8 +45,8 @@ class MotionLeg:
     wave: Wave | None = None
 
 
-#: Displacement, m, and force, N, at the first touch.
-_ZERO: dict[Control, float] = {DISPLACEMENT: 0.0, FORCE: 0.0}
+#: Displacement, m, force, N, and angle, rad, at the start.
+_ZERO: dict[Control, float] = {DISPLACEMENT: 0.0, FORCE: 0.0, ANGLE: 0.0}
 
 
 @dataclass(frozen=True)
@@ -86,9 +87,10 @@ def iterate_motion_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed
     state = LoadingState({DISPLACEMENT: speed})
     for segment in iterate_segments_with_repeats(steps):
         leg, state = make_leg_or_none(segment, state)
-        if leg is None or leg.control == FORCE:
+        if leg is None or leg.control != DISPLACEMENT:
+            quantity = f"an {ANGLE}" if leg is not None and leg.control == ANGLE else f"a {FORCE}"
             raise make_protocol_error(segment.position, f"segments must prescribe displacements here; got a "
-                                      f"{segment.kind} that prescribes a force. State lengths such as 10mm")
+                                      f"{segment.kind} that prescribes {quantity}. State lengths such as 10mm")
         if leg.wave is not None:
             raise make_protocol_error(segment.position, "segments must be straight here, because the machine moves at "
                                       f"constant speeds; got a {segment.kind}. Write ramps and unloads")
@@ -138,8 +140,9 @@ def make_leg_or_none(segment: ProtocolSegment, state: LoadingState) -> tuple[Mot
         speed = state.speed[control]
         leg = MotionLeg(segment, here, end, speed, abs(end - here) / speed, cycle, control)
     else:
-        raise make_protocol_error(segment.position, f"the first {segment.kind} that prescribes a force needs a loading "
-                                  "rate, such as ramp 2N @0.5N/s")
+        quantity, rate = ("an angle", "an angular speed, such as ramp 30deg @1deg/s") if control == ANGLE else (
+            "a force", "a loading rate, such as ramp 2N @0.5N/s")
+        raise make_protocol_error(segment.position, f"the first {segment.kind} that prescribes {quantity} needs {rate}")
     highest = max(largest, end + amplitude)
     known, most = {control: end}, {control: highest}
     if control == DISPLACEMENT and here <= end <= 0.0 and highest <= 0.0 and FORCE in state.here:
@@ -157,7 +160,7 @@ def _require_approach_height(segment: ProtocolSegment) -> float:
 
 
 def _find_end(segment: ProtocolSegment, here: float, largest: float, control: Control) -> float:
-    """Return the displacement, m, or force, N, at the end of a segment.
+    """Return the displacement, m, force, N, or angle, rad, at the end of a segment.
 
     Args:
         segment: the segment.
@@ -165,8 +168,8 @@ def _find_end(segment: ProtocolSegment, here: float, largest: float, control: Co
         largest: largest value so far.
         control: prescribed quantity.
     """
-    kind, amount, is_force = segment.kind, segment.amount, control == FORCE
-    now = f"the force is {_format_force(here)}" if is_force else f"the tool is at {_format_mm(here)}"
+    kind, amount, has_no_length = segment.kind, segment.amount, control != DISPLACEMENT
+    now = f"the {control} is {_format_value(here, control)}" if has_no_length else f"the tool is at {_format_mm(here)}"
     if kind == "hold" or kind in WAVE_KINDS:
         return here
     match kind:
@@ -177,22 +180,23 @@ def _find_end(segment: ProtocolSegment, here: float, largest: float, control: Co
                                           "height first")
             return 0.0
         case "ramp" | "reload":
-            aim = "force" if is_force else "depth"
+            aim = control if has_no_length else "depth"
             if amount is None and largest <= 0:
                 raise make_protocol_error(segment.position, f"a reload needs an earlier ramp or a {aim}; ramp first, "
                                           f"or name a {aim}")
             end = largest if amount is None else amount
             if end <= here:
-                change = "increase the force" if is_force else "go deeper"
+                change = f"increase the {control}" if has_no_length else "go deeper"
                 raise make_protocol_error(segment.position, f"a {kind} must {change}, but {now} already; name a larger "
                                           f"{aim}, or unload before it")
             return end
         case "unload" | "retract":
             end = (-1.0 if kind == "retract" else 1.0) * (amount or 0.0)
             if end >= here:
-                article, change = "an" if kind == "unload" else "a", "reduce the force" if is_force else "go outwards"
+                article, change = "an" if kind == "unload" else "a", (
+                    f"reduce the {control}" if has_no_length else "go outwards")
                 raise make_protocol_error(segment.position, f"{article} {kind} must {change}, but {now} already; its "
-                                          f"end is {_format_force(end) if is_force else _format_mm(end)}")
+                                          f"end is {_format_value(end, control)}")
             return end
     raise make_protocol_error(segment.position, f"unknown segment {kind!r}")
 
@@ -201,5 +205,8 @@ def _format_mm(length: float) -> str:
     return f"{length * 1e3:.6g} mm"
 
 
-def _format_force(force: float) -> str:
-    return f"{force:.6g} N"
+def _format_value(value: float, control: Control) -> str:
+    """Return a displacement in mm, a force in N, or an angle in degrees with its unit."""
+    if control == DISPLACEMENT:
+        return _format_mm(value)
+    return f"{value:.6g} N" if control == FORCE else f"{math.degrees(value):.6g} deg"

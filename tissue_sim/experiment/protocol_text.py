@@ -25,11 +25,13 @@ KINDS: dict[str, tuple[str, bool]] = {
 #: Segments that prescribe a displacement or a force.
 LOADING_KINDS = ("ramp", "unload", "reload")
 #: Quantity that a segment prescribes.
-Control = Literal["displacement", "force"]
+Control = Literal["displacement", "force", "angle"]
 #: Control of a segment that prescribes the displacement of the tool.
 DISPLACEMENT: Final = "displacement"
 #: Control of a segment that prescribes the force on the tool.
 FORCE: Final = "force"
+#: Control of a segment that prescribes the angle of a grip.
+ANGLE: Final = "angle"
 #: Example for messages.
 EXAMPLE = "ramp 10mm @0.248mm/s; hold 60s; unload"
 
@@ -42,10 +44,10 @@ class ProtocolSegment:
 
     Attributes:
         kind: a name in `KINDS`, or in `tissue_sim.experiment.protocol_waves.WAVE_KINDS`.
-        amount: displacement, m, or force, N, at which ramp, unload and reload end; s for a hold; height above the
-            touch, m, at which approach starts and retract ends; amplitude of a sinusoid, m or N. None: unload to zero,
-            reload to the largest value so far.
-        speed: m/s or N/s; None: that of the last segment with the same control.
+        amount: displacement, m, force, N, or angle, rad, at which ramp, unload and reload end; s for a hold; height
+            above the touch, m, at which approach starts and retract ends; amplitude of a sinusoid, m, N or rad. None:
+            unload to zero, reload to the largest value so far.
+        speed: m/s, N/s or rad/s; None: that of the last segment with the same control.
         position: position in the text, for messages.
         control: quantity that the segment prescribes. None: in a hold, and in an unload or reload without amount and
             speed, that of the segment before; in every other segment the displacement.
@@ -73,8 +75,9 @@ class ProtocolSegment:
             if self.control is not None:
                 raise make_protocol_error(self.position, "a hold keeps the control of the segment before it; leave "
                                           "control out")
-        elif self.kind not in LOADING_KINDS and self.control == FORCE:
-            raise make_protocol_error(self.position, f"control of {self.kind} must be 'displacement'; got 'force'")
+        elif self.kind not in LOADING_KINDS and self.control not in (None, DISPLACEMENT):
+            raise make_protocol_error(self.position, f"control of {self.kind} must be 'displacement'; got "
+                                      f"{self.control!r}")
         elif self.control is None and (self.kind not in LOADING_KINDS
                                        or not (self.amount is None and self.speed is None)):
             object.__setattr__(self, "control", DISPLACEMENT)
@@ -98,6 +101,8 @@ def make_protocol_error(position: str, problem: str) -> InputError:
 _LENGTHS = {"mm": "0.001", "um": "0.000001", "m": "1"}
 #: Unit -> factor to N.
 _FORCES = {"N": "1", "mN": "0.001", "kN": "1000"}
+#: Unit -> factor to rad.
+_ANGLES = {"deg": repr(math.pi / 180.0), "rad": "1"}
 #: Unit -> factor to s.
 _TIMES = {"s": "1", "ms": "0.001", "min": "60", "h": "3600"}
 
@@ -111,18 +116,21 @@ def _make_rate_units(units: dict[str, str]) -> dict[str, tuple[str, str]]:
 _UNITS: dict[str, dict[str, tuple[str, str]]] = {
     "length": {unit: (factor, "1") for unit, factor in _LENGTHS.items()},
     "force": {unit: (factor, "1") for unit, factor in _FORCES.items()},
+    "angle": {unit: (factor, "1") for unit, factor in _ANGLES.items()},
     "time": {unit: (factor, "1") for unit, factor in _TIMES.items()},
     "speed": _make_rate_units(_LENGTHS),
     "loading rate": _make_rate_units(_FORCES),
+    "angular speed": _make_rate_units(_ANGLES),
     "frequency": {"Hz": ("1", "1"), "mHz": ("0.001", "1"), "kHz": ("1000", "1")},
 }
 #: Quantity -> example for messages.
-_EXAMPLES = {"length": "10mm", "force": "2N", "time": "60s", "speed": "0.248mm/s", "loading rate": "0.5N/s",
-             "frequency": "1Hz"}
+_EXAMPLES = {"length": "10mm", "force": "2N", "angle": "30deg", "time": "60s", "speed": "0.248mm/s",
+             "loading rate": "0.5N/s", "angular speed": "1deg/s", "frequency": "1Hz"}
 #: Quantity of an amount or of a speed -> control of its segment.
-_CONTROLS: dict[str, Control] = {"length": DISPLACEMENT, "speed": DISPLACEMENT, "force": FORCE, "loading rate": FORCE}
+_CONTROLS: dict[str, Control] = {"length": DISPLACEMENT, "speed": DISPLACEMENT, "force": FORCE, "loading rate": FORCE,
+                                 "angle": ANGLE, "angular speed": ANGLE}
 #: Control -> quantity of the speed.
-_RATES = {DISPLACEMENT: "speed", FORCE: "loading rate"}
+_RATES = {DISPLACEMENT: "speed", FORCE: "loading rate", ANGLE: "angular speed"}
 #: Largest number of units in a message.
 _NAMED_UNITS = 6
 _NUMBER = re.compile(r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?")
@@ -140,8 +148,9 @@ def parse_protocol(text: str) -> tuple[ProtocolSegment | ProtocolRepeat, ...]:
     """Parse the text of a protocol.
 
     Segments are separated by ``;``, and ``repeat N ( ... )`` repeats the segments in its brackets N times. A segment is
-    a word of `KINDS`, a length (mm, um, m) or a force (N, mN, kN), for a hold a time (s, ms, min, h); ``@`` with a
-    speed, such as mm/s or mm/min, or with a loading rate, such as N/s or N/min, may follow, except in a hold.
+    a word of `KINDS`, a length (mm, um, m), a force (N, mN, kN) or an angle (deg, rad), for a hold a time (s, ms, min,
+    h); ``@`` with a speed, such as mm/s or mm/min, a loading rate, such as N/s, or an angular speed, such as deg/s, may
+    follow, except in a hold.
 
     ``sine 0.1mm @2Hz for 10 cycles`` oscillates about the present displacement, or with an amplitude in N about the
     present force. ``to`` makes a sweep of the frequency, ``sine 0.1mm @0.1Hz to 10Hz in 5 steps for 10 cycles``, or of
@@ -155,17 +164,17 @@ def parse_protocol(text: str) -> tuple[ProtocolSegment | ProtocolRepeat, ...]:
 
 
 def format_protocol(steps: Sequence[ProtocolSegment | ProtocolRepeat]) -> str:
-    """Return the text of a protocol, in mm, N and s with every digit; `parse_protocol` of it returns the steps."""
+    """Return the text of a protocol, in mm, N, rad and s with every digit; `parse_protocol` of it returns the steps."""
     return "; ".join(f"repeat {step.times} ({format_protocol(step.segments)})" if isinstance(step, ProtocolRepeat)
                      else _format_segment(step) for step in steps)
 
 
 def _format_segment(segment: ProtocolSegment) -> str:
-    """Return the text of a segment with lengths in mm, forces in N, and times in s."""
+    """Return the text of a segment with lengths in mm, forces in N, angles in rad, and times in s."""
     def format_value(value: float, unit: str) -> str:
         return f"{Decimal(repr(float(value))) * 1000:g}mm" if unit == "mm" else f"{float(value)!r}{unit}"
 
-    unit = "N" if segment.control == FORCE else "mm"
+    unit = {FORCE: "N", ANGLE: "rad"}.get(segment.control or DISPLACEMENT, "mm")
     if segment.wave is not None and segment.amount is not None:
         wave, text = segment.wave, f"{segment.kind} {format_value(segment.amount, unit)} @{segment.wave.frequency!r}Hz"
         if wave.end_frequency is None:
@@ -223,7 +232,7 @@ class _ProtocolParser:
             raise self._make_error(start, f"unknown segment {_quote_shortened_text(word)}"
                                    f"{make_hint_with_similar_or_known_words(word, (*KINDS, *WAVE_KINDS, 'repeat'))}")
         quantity, needed = KINDS[word]
-        quantities = (quantity, "force") if word in LOADING_KINDS else (quantity,)
+        quantities = (quantity, "force", "angle") if word in LOADING_KINDS else (quantity,)
         amount, quantity = self.read_amount_or_none(quantities, needed=needed, zero=word == "unload", after=word)
         control = _CONTROLS.get(quantity)
         speed = None
@@ -238,7 +247,7 @@ class _ProtocolParser:
 
     def read_waves(self, start: int, word: str) -> list[ProtocolSegment]:
         """Read a chirp, or the sinusoids of a sweep; the first word `word` begins at index `start` of the text."""
-        amplitudes, quantity = self.read_swept_values(("length", "force"), after=word)
+        amplitudes, quantity = self.read_swept_values(("length", "force", "angle"), after=word)
         if not self.match_symbol_and_advance("@"):
             raise self._make_error(self.at, f"expected '@' and a frequency after the amplitude of a {word}, such as "
                                    "@1Hz")
@@ -319,7 +328,7 @@ class _ProtocolParser:
             The value in SI and its quantity; None and an empty text if there is no number.
         """
         self.skip_blanks()
-        start, expected = self.at, " or a ".join(quantities)
+        start, expected = self.at, " or a ".join(quantities[:2])
         example = _EXAMPLES[quantities[0]]
         number = self.match_text_or_none_and_advance(_NUMBER)
         if number is None:
@@ -337,9 +346,11 @@ class _ProtocolParser:
         plain = unit.replace("µ", "u").replace("μ", "u")
         quantity = next((each for each in quantities if plain in _UNITS[each]), None)
         if quantity is None:
-            known = [name for each in quantities for name in list(_UNITS[each])[:_NAMED_UNITS // len(quantities)]]
-            raise self._make_error(at, f"{_quote_shortened_text(unit)} is not a unit of {' or '.join(quantities)}; use "
-                                   f"{', '.join(known)}")
+            named = quantities[:2]
+            more = "".join(f", or an {each} such as {_EXAMPLES[each]}" for each in quantities[2:])
+            known = [name for each in named for name in list(_UNITS[each])[:_NAMED_UNITS // len(named)]]
+            raise self._make_error(at, f"{_quote_shortened_text(unit)} is not a unit of {' or '.join(named)}; use "
+                                   f"{', '.join(known)}{more}")
         value = _convert_decimal_text_to_si(number, *_UNITS[quantity][plain])
         if not (0 < value < math.inf or (zero and value == 0)):
             remedy = "; use retract for a height above the touch" if quantity == "length" else ""

@@ -24,7 +24,7 @@ from tissue_sim.public_names import with_old_names
 from tissue_sim.realtime.inertia_limits import PATH, PathSettings, ToolReversalDetector
 from tissue_sim.realtime.path_following import PathFollowingTissue, require_valid_max_solves
 from tissue_sim.realtime.pending_path import AT_REST, NEVER, LastEquilibrium, PendingPath, ToolTrack, is_pose_on_axis
-from tissue_sim.realtime.tissue import MotionLimits, require_no_tilt_or_partial_slip
+from tissue_sim.realtime.tissue import MotionLimits, require_real_time_experiment
 from tissue_sim.snapshot import Snapshot, snapshot
 from tissue_sim.tool_force import ForceStatus, Tissue, ToolForce
 
@@ -261,7 +261,7 @@ class Simulator(PathFollowingTissue):
         if budget is not None and not budget > 0:
             raise InputError(f"must be positive or None; got {budget:g} s.", field="budget")
         require_valid_max_solves(max_solves)
-        require_no_tilt_or_partial_slip(model.experiment)
+        require_real_time_experiment(model.experiment)
         model.experiment.protocol.require_displacement_control("the real-time simulation")
         super().__init__(model, limits)
         self.budget, self.inertia, self.tolerance = budget, inertia, tolerance

@@ -37,12 +37,15 @@ class AcceptedModulusRange:
 MODULI = AcceptedModulusRange()
 
 
-def require_no_tilt_or_partial_slip(experiment: Experiment) -> None:
-    """Require an experiment without tilt and partial slip, which are corrections of whole recordings.
+def require_real_time_experiment(experiment: Experiment) -> None:
+    """Require an experiment with a tool, without tilt and partial slip, which are corrections of whole recordings.
 
     Raises:
-        InputError: a tilted tool, or partial slip.
+        InputError: a gripped specimen, a tilted tool, or partial slip.
     """
+    if experiment.grip is not None:
+        raise InputError("must be None in real time, where the pose of a tool is given; got a gripped specimen. Use "
+                         "tissue_sim.simulate, or KINDS['bonded_compression']", field="grip")
     if experiment.tilt:
         raise InputError("must be 0 in real time: the effect of a tilt is a correction of whole recordings. Leave the "
                          "tilt out", field="tilt")

@@ -17,7 +17,7 @@ from tissue_sim.material.fractional_zener import FractionalRelaxation
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from tissue_sim import MaterialFile, Recording
+    from tissue_sim import Experiment, MaterialFile, Recording
 
 #: Stretches may exceed the valid range by this much without a warning; two meshes of one test differ by about as much.
 RANGE_TOLERANCE = 0.01
@@ -77,40 +77,53 @@ def describe_drucker_instability(material_file: MaterialFile) -> str | None:
     return None
 
 
-def list_warnings_if_test_leaves_range(material_file: MaterialFile, recording: Recording, height: float, *,
-                                       has_lateral_wall: bool = False) -> list[str]:
+def _compute_mean_stretches(experiment: Experiment, motion: float) -> tuple[float, float]:
+    """Return the smallest and the largest mean stretch along an axis, at most and at least 1, at a motion, m or rad.
+
+    In shear by gamma these are sqrt(1 + gamma^2/4) -+ gamma/2; in torsion gamma is the shear strain at the rim.
+    """
+    grip, specimen = experiment.grip, experiment.specimen
+    if grip is None or (grip.axis[2] and not grip.is_rotation):
+        stretch = 1 + (motion if grip else -motion) / specimen.height
+        return min(stretch, 1.0), max(stretch, 1.0)
+    gamma = abs(motion) / specimen.height * (specimen.outer_radius if grip.is_rotation else 1.0)
+    mean = math.sqrt(1.0 + 0.25 * gamma**2)
+    return mean - 0.5 * gamma, mean + 0.5 * gamma
+
+
+def list_warnings_if_test_leaves_range(material_file: MaterialFile, recording: Recording,
+                                       experiment: Experiment) -> list[str]:
     """Return warnings about a simulated test in which the material leaves its valid range or its stable range.
 
     Args:
         material_file: material of the specimen.
         recording: simulated test; with fields, their principal stretches are compared with the valid range.
-        height: height of the specimen, m.
-        has_lateral_wall: whether rigid walls hold the side of the specimen, so that its volume changes. The law and its
-            valid range then refer to isochoric stretches.
+        experiment: simulated experiment.
 
     Returns:
         Warnings, one sentence each.
     """
     sentences = []
-    deepest = int(np.argmax(recording.displacement))
-    stretch = 1 - float(recording.displacement[deepest]) / height
+    motion = recording.channel(experiment.channels[0])
+    deepest = int(np.argmax(motion))
+    mean = _compute_mean_stretches(experiment, float(motion[deepest]))
     # A calibration derives its valid range from the same local stretches. Under a needle they differ much from the
     # mean stretch of the specimen.
-    if has_lateral_wall:
-        lowest, highest = CONFINED.find_extreme_stretches(min(stretch, 1.0), 1.0)
-        stretch = lowest
+    if experiment.has_lateral_wall:
+        # The volume changes; the law and its valid range refer to isochoric stretches.
+        mean = lowest, highest = CONFINED.find_extreme_stretches(mean[0], 1.0)
     else:
-        lowest, highest = (stretch, 1.0) if recording.fields is None else recording.fields.stretch_range(deepest)
+        lowest, highest = mean if recording.fields is None else recording.fields.stretch_range(deepest)
     if material_file.valid_range is not None and material_file.valid_range.stretch is not None:
         low, high = material_file.valid_range.stretch
         if lowest < low - RANGE_TOLERANCE or highest > high + RANGE_TOLERANCE:
             sentences.append(f"the stretches of the tissue are {lowest:.3g} to {highest:.3g}, but the material was "
                              f"fitted to stretches from {low:.3g} to {high:.3g} only")
     material = material_file.material
-    stability = find_stability_range(material.energy_law, material.values, (min(stretch, 1.0), max(stretch, 1.0)))
+    stability = find_stability_range(material.energy_law, material.values, mean)
     if not stability.is_stable_in_whole_range:
-        sentences.append(f"the law is unstable within the mean stretches of this test, {min(stretch, 1.0):.3g} to "
-                         f"{max(stretch, 1.0):.3g}: {stability.describe()}")
+        sentences.append(f"the law is unstable within the mean stretches of this test, {mean[0]:.3g} to "
+                         f"{mean[1]:.3g}: {stability.describe()}")
     return sentences
 
 

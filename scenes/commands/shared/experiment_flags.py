@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenes.catalogue import SCENES
+from scenes.catalogue import SCENES, SIMULATED
 from scenes.commands.shared.parsing import (
     InputErrorArgumentParser,
     make_integer_parser,
@@ -18,6 +18,7 @@ from scenes.commands.shared.parsing import (
     parse_positive_number,
 )
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
+from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import (
     TOOLS,
     Tool,
@@ -54,6 +55,8 @@ class RampDepthAndPointDefaults:
 MOTION_FLAGS = RampDepthAndPointDefaults()
 #: Flags of tool and interfaces without default, besides the sizes of the tool.
 TOOL_FLAGS = ("tool", "friction", "friction_base", "friction_wall", "offset_mm", "tilt_deg")
+#: Other flags that have no meaning between grips.
+_CONTACT_FLAGS = ("adhesion_N", "adhesion_length_mm", "contact_law", "tilt_mm", "slip", "gravity")
 #: Flags of the specimen without default, besides its sizes.
 SPECIMEN_FLAGS = ("shape", "mesh", "mesh_unit", "mesh_base", "mesh_top", "gravity")
 #: Sizes of the cylinder without flags: the silicone specimen of the reference study.
@@ -128,7 +131,7 @@ def _add_motion_flags(parser: InputErrorArgumentParser) -> None:
     motion.add_argument("--protocol", metavar="TEXT",
                         help="motion in segments instead of --depth-mm, such as 'approach 2mm; ramp 10mm @0.248mm/s; "
                         "hold 60s; unload; reload; retract 2mm' or 'repeat 3 (ramp 5mm; unload)'; with a prescribed "
-                        "force, such as creep: 'ramp 2N @0.5N/s; hold 60s; unload'")
+                        "force, such as creep: 'ramp 2N @0.5N/s; hold 60s; unload'; in torsion 'ramp 30deg @1deg/s'")
     motion.add_argument("--points", type=make_integer_parser(2, MOTION_FLAGS.max_points), metavar="N",
                         default=MOTION_FLAGS.points,
                         help="number of samples of the ramp, or of each moving segment, its first one included "
@@ -211,14 +214,25 @@ def _add_tool_and_interface_flags(parser: InputErrorArgumentParser, needs: str) 
                       "frictionless test")
 
 
-def require_known_scene(name: str) -> None:
+def require_known_scene(name: str, *, allows_grips: bool = False) -> None:
     """Raise an error if no scene has this name.
 
+    Args:
+        name: name of a kind of test.
+        allows_grips: whether the command simulates a gripped specimen too.
+
     Raises:
-        InputError: unknown scene; the message names the nearest one.
+        InputError: unknown scene; the message names the nearest one. Or a gripped specimen that cannot be simulated.
     """
-    if name not in SCENES:
-        raise InputError(f"unknown scene {name!r}{make_hint_with_similar_or_known_words(name, SCENES)}")
+    known = SIMULATED if allows_grips else SCENES
+    if name in known:
+        return
+    if name in SIMULATED:
+        raise InputError(f"must be a test with a tool in this command; the specimen of {name} is gripped. Use "
+                         f"tissue-sim simulate {name}; --figure draws the deformed specimen", field="SCENE")
+    if name in KINDS:
+        KINDS[name].require_tool()
+    raise InputError(f"unknown scene {name!r}{make_hint_with_similar_or_known_words(name, known)}")
 
 
 def make_protocol_from_flags(arguments, *, allows_force: bool = False) -> Protocol:
@@ -273,7 +287,16 @@ def make_experiment_from_flags(arguments, protocol: Protocol, material: Material
     """
     import tissue_sim as ts
 
-    scene = SCENES[arguments.scene]
+    scene = SIMULATED[arguments.scene]
+    if scene.has_gripped_ends:
+        for name in (*TOOL_FLAGS, *_CONTACT_FLAGS, *list_all_tool_sizes_by_key()):
+            if getattr(arguments, name):
+                raise InputError(f"does not apply to {scene.name}, whose specimen is gripped. Leave this flag out",
+                                 field=f"--{name.replace('_', '-')}")
+        if arguments.protocol is None and scene.grip is not None and scene.grip.is_rotation:
+            raise InputError(f"is required for {scene.name}. State an angle, such as 'ramp 30deg @1deg/s'",
+                             field="--protocol")
+        return scene.experiment(specimen=make_specimen_from_flags(arguments, {}), protocol=protocol)
     scene_tool = scene.require_tool()
     shape, profile = interpret_shape_or_profile_path(arguments.tool or scene_tool.shape)
     kind = TOOLS.find(shape, field="--tool")

@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.grip import GripMotion
+from tissue_sim.experiment.tools.shapes import Plate
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.public_names import OldName, with_old_names
 from tissue_sim.registry import Registry
@@ -72,7 +74,10 @@ class TestKind:
         name: name in files and on the command line.
         title: name in reports.
         tool: default tool; a plate admits plates only, a needle all tools but plates. None: the specimen is gripped at
-            both ends, and the test is not simulated.
+            both ends.
+        grip: motion of the upper grip in the finite elements, which bond the ends of the specimen to rigid grips. None
+            without a tool: the test is not simulated.
+        specimen_shapes: shapes of the specimen that the finite elements accept; empty: all.
         tool_stated: whether a campaign must state the shape of the tool.
         has_lateral_wall: whether rigid walls without friction hold the side of the specimen.
         face, base, shaft: interfaces of the tool's face, of the base and of a needle's shaft.
@@ -101,6 +106,8 @@ class TestKind:
     name: str
     title: str
     tool: Tool | None
+    grip: GripMotion | None = None
+    specimen_shapes: tuple[str, ...] = ()
     tool_stated: bool = False
     has_lateral_wall: bool = False
     face: FaceInterface = FaceInterface("bonded", fixed=True)
@@ -131,6 +138,8 @@ class TestKind:
             if len(names) != 2 * self.load_count:
                 raise InputError(f"must list a motion and a load for each of {self.load_count} loads; got "
                                  f"{', '.join(names)}.", field="tissue_sim.kinds.channels")
+        if self.tool is not None and self.grip is not None:
+            raise InputError(f"{self.name!r} has a tool and a grip; give one of them", field="tissue_sim.kinds")
 
     #: Old names.
     gripped = OldName("has_gripped_ends")
@@ -152,6 +161,11 @@ class TestKind:
     def allows_reversed_load(self) -> bool:
         """Whether the specimen can be pulled against the direction of loading: it is gripped, or the tool is bonded."""
         return self.has_gripped_ends or self.face.usual == "bonded"
+
+    @property
+    def is_simulated(self) -> bool:
+        """Whether finite elements of the test exist: it has a tool, or a grip whose motion is stated."""
+        return self.tool is not None or self.grip is not None
 
     @property
     def has_closed_form_with_weight(self) -> bool:
@@ -282,12 +296,12 @@ class TestKind:
 
         Args:
             specimen: geometry, density and gravity.
-            protocol: motion of the tool.
+            protocol: motion of the tool or of the upper grip.
             overrides: other fields of `Experiment`; `tool`, `friction`, `friction_base` and `friction_wall` replace the
                 defaults of the kind.
 
         Raises:
-            InputError: see `Experiment`; or a kind without a tool.
+            InputError: see `Experiment`; or a kind without tool and grip, or a specimen whose shape does not fit.
 
         Examples:
             >>> from tissue_sim import Protocol, Specimen, Tool
@@ -298,6 +312,12 @@ class TestKind:
         """
         from tissue_sim.experiment.experiment import Experiment
 
+        if self.grip is not None:
+            if self.specimen_shapes and specimen.shape not in self.specimen_shapes:
+                raise InputError(f"must be a {' or a '.join(self.specimen_shapes)} in {self.title.lower()}; got "
+                                 f"{specimen.in_words}. Choose another shape", field="specimen")
+            # A rigid grip is a bonded plate.
+            overrides = {"tool": Plate(), "grip": self.grip} | overrides
         tool = overrides.get("tool") or self.require_tool()
         stated: dict[str, Any] = {"tool": tool, "has_lateral_wall": self.has_lateral_wall,
                                   **self.make_default_interfaces_by_field(tool)} | overrides

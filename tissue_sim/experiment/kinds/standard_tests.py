@@ -2,6 +2,7 @@
 
 from tissue_sim.closed_form.homogeneous import SIMPLE_SHEAR, UNIAXIAL
 from tissue_sim.experiment.contact_law import AS_TOOL
+from tissue_sim.experiment.grip import AXIAL_PULL, LATERAL_SHIFT
 from tissue_sim.experiment.kinds.kind import (
     DISPLACEMENT_FORCE,
     SHEAR_STRESS,
@@ -12,13 +13,13 @@ from tissue_sim.experiment.kinds.kind import (
 )
 from tissue_sim.experiment.tools.shapes import Flat, Plate
 
-TENSION = TestKind(name="uniaxial_tension", title="Uniaxial tension", tool=None, sign=1.0,
+TENSION = TestKind(name="uniaxial_tension", title="Uniaxial tension", tool=None, grip=AXIAL_PULL, sign=1.0,
                    channels=(DISPLACEMENT_FORCE, STRETCH_STRESS), closed_form=UNIAXIAL,
                    is_default_of_direction=True,
                    size_names=SizeNames(("gauge length", "length", "height"), ("thickness",)), title_words=(
                        r"(uniaxial )?(tensile|tension)", r"(ein ?achs\w* )?zug(?!scher)\w*", r"pull", r"stretching",
                        r"traction( (uniaxiale|simple))?", r"elongation"), file_words=("ut",))
-SHEAR = TestKind(name="simple_shear", title="Simple shear", tool=None, sign=1.0,
+SHEAR = TestKind(name="simple_shear", title="Simple shear", tool=None, grip=LATERAL_SHIFT, sign=1.0,
                  channels=(DISPLACEMENT_FORCE, SHEAR_STRESS), closed_form=SIMPLE_SHEAR,
                  is_default_of_direction=True,
                  size_names=SizeNames(("thickness", "height", "length", "gap"), ("length",)), title_words=(

@@ -166,6 +166,10 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = N
     if model.experiment.approach is not None:
         raise InputError("must be None for an axisymmetric solid, whose tool is on the axis. Use the solver "
                          "\"solid\" (--solid).", field="approach")
+    grip = model.experiment.grip
+    if grip is not None and (grip.is_rotation or any(grip.axis[:2])):
+        raise InputError("must move along the axis for an axisymmetric solid; got a lateral motion or a twist. Use the "
+                         "solver \"solid\" (--solid).", field="grip")
     if model.material.regions:
         raise InputError("must be empty for an axisymmetric solid. Use the solver \"solid\" "
                          "(--solid).", field="material.regions")

@@ -223,8 +223,9 @@ def build_contact_pairs(experiment: Experiment, parts: SurfaceParts, *, tool: bo
         upright: whether the axis of the tool is vertical at the first touch.
     """
     is_plate = experiment.tool.is_plate
-    pairs = _make_base_pairs(experiment, parts)
-    if tool:
+    # The side of the specimen does not touch grips, which are as wide as the specimen.
+    pairs = [] if experiment.grip is not None else _make_base_pairs(experiment, parts)
+    if tool and experiment.grip is None:
         pairs += _make_plate_pairs(experiment, parts) if is_plate else _make_needle_pairs(experiment, parts, upright)
     if is_plate:
         relative = TOLERANCES.homogeneous if homogeneous else TOLERANCES.plate

@@ -196,7 +196,7 @@ class Resolution(NamedTuple):
     def get_force_error_or_none(self, experiment: Experiment) -> float | None:
         """Return the largest known relative error of the force of an experiment, 1; None if it is not known."""
         errors, tool, specimen, approach = self.force_errors, experiment.tool, experiment.specimen, experiment.approach
-        if errors is None or not isinstance(specimen, Cylinder):
+        if errors is None or not isinstance(specimen, Cylinder) or experiment.grip is not None:
             return None
         if tool.is_plate:
             slenderness = specimen.height / specimen.radius
@@ -446,7 +446,11 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[L
         hint = make_hint_with_similar_or_known_words(resolution, RESOLUTIONS)
         raise InputError(f"unknown resolution {resolution!r}{hint}", field="resolution")
     specimen, tool = experiment.specimen, experiment.tool
-    size, interfaces = specimen.margin(), tuple(np.cumsum([layer.thickness for layer in layers]).tolist())
+    size = specimen.margin()
+    if experiment.grip is not None:
+        # In a wide thin strip the deformation varies over its height, not over its thickness.
+        size = max(size, min(0.5 * specimen.height, math.sqrt(0.5) * specimen.outer_radius))
+    interfaces = tuple(np.cumsum([layer.thickness for layer in layers]).tolist())
     if tool.is_plate:
         return specimen.solid_mesh(Grading(chosen.element, chosen.smallest * size, chosen.growth, chosen.largest * size,
                                            chosen.around, interfaces=interfaces, least=chosen.layer_elements))
