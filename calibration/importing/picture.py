@@ -109,7 +109,7 @@ def _draw_test_motion_and_load_in_two_axes(left, right, test: ImportedTest) -> N
         right.legend(fontsize=7, title=more, title_fontsize=7)
 
 
-def _convert_to_plotted_unit(recording: Recording, channel: str, raw: set[str]) -> np.ndarray:
+def _convert_to_plotted_unit(recording: Recording, channel: str, raw: frozenset[str]) -> np.ndarray:
     """Return the values of a channel in the unit of the picture; channels in `raw` (unknown unit) are unchanged."""
     return recording.channel(channel) * (1.0 if channel in raw else _SHOWN[channel][1])
 
@@ -134,7 +134,7 @@ def _mark_outliers_and_saturated_samples(left, right, clocks: np.ndarray, ways: 
             right.plot(way, load, ls="", **style, label=name)
 
 
-def _set_axis_labels(left, right, way: str, load: str, raw: set[str], *, timed: bool) -> None:
+def _set_axis_labels(left, right, way: str, load: str, raw: frozenset[str], *, timed: bool) -> None:
     """Label the axes with quantity and unit; channels in `raw` have no known unit."""
     def make_axis_label(channel: str) -> str:
         """Return the label of an axis: name and unit of a channel."""
