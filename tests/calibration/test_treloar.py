@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 
 import tissue_sim as ts
@@ -48,3 +49,17 @@ def test_joint_fits_reach_the_reference(rubber, tmp_path):
     # Two terms of Ogden have a second minimum.
     assert len(compared["ogden_2"].minima) == 2
     assert compared["ogden_2"].sums[1] == pytest.approx(1.899, rel=1e-3)
+
+
+def test_half_of_the_biaxial_tests_predicts_the_rest(rubber, tmp_path):
+    """The sums of squares are those of SciPy's least squares; two terms of Ogden predict within 3 %."""
+    points = treloar.read_biaxial_tests(rubber)
+    fitted, predicted = treloar.split_biaxial_series(points)
+    assert (len(points), len(fitted), len(predicted)) == (117, 59, 58)
+    assert len(np.unique(fitted[:, 0])) == len(np.unique(predicted[:, 0])) == 9
+    found = {each.law: each for each in treloar.fit_half_of_biaxial_tests(("mooney_rivlin", "ogden_2"), points,
+                                                                         tmp_path)}
+    for each in found.values():
+        assert each.sum <= 1.0001 * each.reference_sum
+        assert each.sum == pytest.approx(len(fitted) * sum(rms**2 for rms in each.fitted))
+    assert max(found["ogden_2"].relative) < 0.03 < min(found["mooney_rivlin"].relative)
