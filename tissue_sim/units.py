@@ -22,6 +22,7 @@ _FACTORS: dict[str, dict[str, float]] = {
               "g": 1e-3 * _G, "gf": 1e-3 * _G, "mg": 1e-6 * _G, "kg": _G, "kgf": _G, "lb": _LB * _G, "lbf": _LB * _G,
               "ozf": _LB * _G / 16},
     "torque": {"Nm": 1.0, "mNm": 1e-3, "uNm": 1e-6, "Nmm": 1e-3},
+    "frequency": {"Hz": 1.0, "mHz": 1e-3, "kHz": 1e3, "rad/s": 0.5 / math.pi, "1/min": 1.0 / 60.0},
     "angle": {"rad": 1.0, "mrad": 1e-3, "deg": math.pi / 180.0, "rev": 2.0 * math.pi},
     "stress": {"Pa": 1.0, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "N/mm^2": 1e6, "N/mm2": 1e6, "N/cm2": 1e4, "N/m2": 1.0,
                "bar": 1e5, "psi": _LB * _G / _IN**2, "ksi": 1e3 * _LB * _G / _IN**2, "g/mm2": 1e3 * _G,
@@ -38,6 +39,8 @@ UNITS: dict[str, tuple[str, float, float]] = {
 #: Other spelling -> name in `UNITS`.
 _SPELLINGS = {"µm": "um", "μm": "um", "µN": "uN", "μN": "uN", "°C": "degC", "sec": "s", "N.mm": "Nmm", "N mm": "Nmm",
               "N m": "Nm", "mN m": "mNm", "mN·m": "mNm", "N·mm": "Nmm",
+              "hz": "Hz", "Hertz": "Hz", "rad/sec": "rad/s", "rad s-1": "rad/s", "rad s^-1": "rad/s",
+              "rad·s-1": "rad/s",
               "°": "deg", "degree": "deg", "degrees": "deg", "Grad": "deg", "radian": "rad", "radians": "rad",
               "turns": "rev", "N·m": "Nm", "N.m": "Nm", "µN.m": "uNm", "µNm": "uNm",
               "N/mm²": "N/mm^2", "N/cm²": "N/cm2", "N/m²": "N/m2", "kgf/cm²": "kgf/cm2",

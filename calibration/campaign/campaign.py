@@ -10,6 +10,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from calibration.campaign.modulus_tables import convert_pre_strain_to_abscissa, list_moduli_of_table
 from calibration.campaign.parameters import (
     OFFSET_DEFAULTS,
     PER_SPECIMEN,
@@ -50,6 +51,7 @@ from tissue_sim.experiment.kinds.kind import DISPLACEMENT_FORCE, KINDS, TestKind
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.material.softening import SofteningForm
+from tissue_sim.rig.modulus_readout import ModulusReadout
 from tissue_sim.rig.rig import Rig
 from tissue_sim.settings import make_shallow_read_only_copy
 from tissue_sim.specimen import Specimen
@@ -85,6 +87,9 @@ class Test:
         control: quantity that the machine controls, ``"displacement"`` or ``"force"``; ``"find"``: detected.
         table_name: name of the table ``[[test]]``; empty: `name`. A table of a kind with several loads gives one test
             for each load.
+        modulus: modulus of a table of storage and loss modulus that the test compares with the model; empty: the
+            recordings have a motion.
+        pre_strain: stretch or shear strain about which the specimen oscillates in a table of moduli.
         protocol: motion of a planned test without recordings, as text.
         solver: name of the solver that simulates the test.
         leave_out: name of a recording -> numbers of the samples to leave out, counted from 1; the name ``""`` means
@@ -108,6 +113,8 @@ class Test:
     leave_out: Mapping[str, tuple[int, ...]] = field(default_factory=_freeze_mapping)
     control: Literal["find", "displacement", "force"] = "find"
     table_name: str = ""
+    modulus: str = ""
+    pre_strain: float = 0.0
 
     @property
     def states_stress(self) -> bool:
@@ -192,6 +199,7 @@ class Noise:
     Attributes:
         force: noise of the force, N; None: estimated from the samples.
         nominal_stress: noise of the stress, Pa, for tests recorded as stress; None: estimated.
+        modulus: noise of a storage or loss modulus relative to its value; None: estimated for each modulus.
         contact_jitter: scatter of the contact point between replicates, m; None: estimated (inverse fits).
         zero_jitter: scatter of the force zero between replicates, N; None: estimated (inverse fits).
         correlation_time: correlation time of the force noise, s; 0: white noise; None: estimated (inverse fits).
@@ -202,6 +210,7 @@ class Noise:
     contact_jitter: float | None = 0.0
     zero_jitter: float | None = 0.0
     correlation_time: float | None = None
+    modulus: float | None = None
 
 
 @dataclass(frozen=True)
@@ -302,11 +311,13 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], root: P
                 raise InputError(f"{key} requires columns; state the columns too, or leave {key} out",
                                  field=f"{field}.{key}")
         _require_valid_delimiter_and_decimal_mark(entry, field)
-        specimen = find_and_check_specimen_or_none(entry, specimens, table, field)
+        columns = read_column_map_or_none(entry, field)
+        moduli = list_moduli_of_table(entry, columns, table.fit.method, field)
+        specimen = None if moduli else find_and_check_specimen_or_none(entry, specimens, table, field)
         first = Test(
             name, kind.select_load(0), specimen, () if entry.protocol is not None and not entry.recordings else
             find_recording_files(entry.recordings, root, f"{field}.recordings"),
-            _make_reader_keyword_arguments(entry, read_column_map_or_none(entry, field)), entry.max_strain,
+            _make_reader_keyword_arguments(entry, columns), entry.max_strain,
             entry.hold_out, field, read_experiment_or_none_if_gripped(entry, specimen, root, field),
             read_rig_without_noise(entry, root, field),
             entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol,
@@ -314,6 +325,11 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], root: P
             entry.control, name)
         names = [f"{name} {load}" for load in kind.load_names] or [name]
         tests |= {each: replace(first, name=each, kind=kind.select_load(i)) for i, each in enumerate(names)}
+        if moduli:
+            strain = convert_pre_strain_to_abscissa(entry, kind, field)
+            del tests[name]
+            tests |= {f"{name} {each}": replace(first, name=f"{name} {each}", modulus=each, pre_strain=strain)
+                      for each in moduli}
         if kind.load_count > 1 and entry.contact != "recorded":
             raise InputError(f"contact must be 'recorded' in {entry.kind}, which has several loads; got "
                              f"{entry.contact!r}. Leave contact out", field=f"{field}.contact")
@@ -377,7 +393,8 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
     reject_fit_and_noise_keys_without_effect(table, noise)
     check_values_finite_and_consistent(table)
     around = {test.name: get_experiment_and_rig_declarations_by_path(
-        None if test.specimen is None else test.experiment, test.rig) for test in tests}
+        None if test.specimen is None else test.experiment, test.rig, ModulusReadout() if test.modulus else None)
+        for test in tests}
     regions = {test.name: () if test.specimen is None else test.specimen.region_names for test in tests}
     named = resolve_campaign_parameters_by_name(table, around, regions)
     check_stated_bounds_and_completeness(table, named)
@@ -418,7 +435,7 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
 
 def _convert_noise_table_to_si(table: NoiseTable, method: str) -> Noise:
     """Convert the table ``[noise]`` to SI units and check it."""
-    for key in ("force_N", "nominal_stress_Pa"):
+    for key in ("force_N", "nominal_stress_Pa", "modulus_relative"):
         value = getattr(table, key)
         require_positive_if_stated(None if value == "estimate" else value, f"noise.{key}")
     known: dict[str, float | None] = {}
@@ -440,4 +457,5 @@ def _convert_noise_table_to_si(table: NoiseTable, method: str) -> Noise:
     return Noise(force=None if table.force_N == "estimate" else table.force_N,
                  nominal_stress=None if table.nominal_stress_Pa == "estimate" else table.nominal_stress_Pa,
                  contact_jitter=None if contact is None else contact * 1e-3, zero_jitter=known["zero_jitter_N"],
-                 correlation_time=known["correlation_time_s"])
+                 correlation_time=known["correlation_time_s"],
+                 modulus=None if table.modulus_relative == "estimate" else table.modulus_relative)

@@ -13,6 +13,7 @@ import numpy as np
 import tissue_sim
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.loads import combine_loads, is_load_against_motion, read_motion_and_loads
+from calibration.campaign.modulus_tables import estimate_noise_of_moduli, get_frequency_and_log_modulus
 from calibration.campaign.parameters import OFFSET_DEFAULTS
 from calibration.campaign.sample_selection import (
     SegmentedRecording,
@@ -118,7 +119,8 @@ class MeasuredCurve:
     """The samples of one recording that are compared with a model.
 
     A test without a specimen was recorded as stretch (or shear strain) and nominal stress. It is treated as a test of a
-    cube with 1 m edges: the displacement in m equals the strain and the force in N equals the stress in Pa.
+    cube with 1 m edges: the displacement in m equals the strain and the force in N equals the stress in Pa. In a table
+    of moduli the displacement is the frequency, Hz, and the force the logarithm of a modulus in Pa.
 
     Attributes:
         name: name of the recording, unique in the campaign.
@@ -181,6 +183,11 @@ class MeasuredCurve:
         return replace(self, motions=motions)
 
     @property
+    def has_contact_and_zero(self) -> bool:
+        """Whether the curve has a contact offset and a zero of the load; a modulus over frequency has none."""
+        return not self.test.modulus
+
+    @property
     def sample_times(self) -> np.ndarray:
         """Time of the samples, s, shape (n,).
 
@@ -226,8 +233,9 @@ def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, .
         for path in test.recordings:
             try:
                 recordings = read_recordings(path, kind=test.kind.name, **test.reading)
-                curves += [_make_curve_from_recording(*remove_left_out_and_outlier_samples(recording, name, test), name,
-                                                      path, test, campaign)
+                curves += [_make_curve_of_moduli(recording, name, path, test, campaign) if test.modulus
+                           else _make_curve_from_recording(*remove_left_out_and_outlier_samples(recording, name, test),
+                                                           name, path, test, campaign)
                            for recording,
                            name in zip(recordings, make_names_of_recordings_in_file(recordings, path, test),
                                        strict=True)]
@@ -241,10 +249,13 @@ def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, .
                                  "different names", file=campaign.path, field=f"{test.place}.recordings")
             names.add(curve.name)
         if not analytical:
-            _require_similar_speeds_and_depths(curves, test, campaign)
-            noise = estimate_pooled_sensor_noise([(curve.force, curve.time, curve.segment) for curve in curves],
-                                                 deviation=_find_stated_force_noise_or_none(curves[0], campaign),
-                                                 correlation_time=campaign.noise.correlation_time)
+            if not test.modulus:
+                _require_similar_speeds_and_depths(curves, test, campaign)
+            stated = _find_stated_force_noise_or_none(curves[0], campaign)
+            noise = estimate_noise_of_moduli([(curve.displacement, curve.force) for curve in curves], stated) \
+                if test.modulus else estimate_pooled_sensor_noise(
+                    [(curve.force, curve.time, curve.segment) for curve in curves], deviation=stated,
+                    correlation_time=campaign.noise.correlation_time)
             curves = [replace(curve, noise=noise) for curve in curves]
         found[test.name] = tuple(curves)
     fitted = [curve for test in campaign.tests if not test.hold_out for curve in found[test.name]]
@@ -261,6 +272,9 @@ def compute_default_contact_offset_deviation(curves: Sequence[MeasuredCurve]) ->
     smaller. For tests recorded as strain the value is a fraction of the strain.
     """
     usual = OFFSET_DEFAULTS
+    curves = [curve for curve in curves if curve.has_contact_and_zero]
+    if not curves:
+        return usual.contact_prior
     return min(usual.strain_fraction * reach if stressed else min(usual.contact_fraction * reach, usual.contact_prior)
                for reach, stressed in ((float(np.abs(curve.displacement).max()), curve.stressed) for curve in curves))
 
@@ -391,6 +405,15 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
     return curve
 
 
+def _make_curve_of_moduli(recording: Recording, name: str, path: Path, test: Test, campaign: Campaign) -> MeasuredCurve:
+    """Return one modulus of a table as a curve; see `calibration.forward.modulus.ModulusTest` for its coordinates."""
+    require_closed_form_support_if_used(test, campaign.fit.placeholder_material_with_effects, True, True, path)
+    left_out = test.leave_out.get(name.removeprefix(f"{test.name}/"), test.leave_out.get("", ()))
+    frequency, logarithm = get_frequency_and_log_modulus(recording, test.modulus, left_out, path)
+    return MeasuredCurve(name, test, None, frequency, logarithm, None, path, str(recording.metadata.get("sha256", "")),
+                         stressed=True)
+
+
 def add_noise_and_requested_interpolation(loading: MeasuredCurve, campaign: Campaign,
                                           window: MeasuredCurve | None = None) -> MeasuredCurve:
     """Return a copy of `window` whose field `noise` is the stated or estimated noise of the sensor.
@@ -461,6 +484,8 @@ def _require_similar_speeds_and_depths(curves: list[MeasuredCurve], test: Test, 
 
 def _find_stated_force_noise_or_none(curve: MeasuredCurve, campaign: Campaign) -> float | None:
     """Return the stated noise as a force, N, from the value in the recorded unit if stated; None: to be estimated."""
+    if curve.test.modulus:
+        return campaign.noise.modulus
     force, stress = campaign.noise.force, campaign.noise.nominal_stress
     if not curve.stressed:
         return force

@@ -303,6 +303,12 @@ class ParameterSpace:
                   if not each.is_material_parameter}
         return with_values(model, others) if others else model
 
+    def select_values_under_prefix(self, values: Mapping[str, float], prefix: str, test: str,
+                                   recording: str | None = None) -> dict[str, float]:
+        """Return path without prefix -> value, SI, of the parameters in a recording whose path begins with `prefix`."""
+        return {path.removeprefix(prefix): values[each.name] for path, each
+                in self._map_paths_to_acting_parameters(test, recording).items() if path.startswith(prefix)}
+
     def _map_paths_to_acting_parameters(self, test: str | None, recording: str | None) -> dict[str, FitParameter]:
         """Return path -> parameter for the parameters that apply to a recording of a test; None: any."""
         acting: dict[str, FitParameter] = {}

@@ -19,6 +19,7 @@ from tissue_sim.material.material import (
     make_material_from_numbers,
 )
 from tissue_sim.parameters import Declaration, parameters
+from tissue_sim.rig.modulus_readout import ModulusReadout
 from tissue_sim.rig.rig import Rig
 
 
@@ -65,7 +66,7 @@ PER_REPLICATE = "per_replicate"
 #: All named scopes.
 SCOPES = (SHARED, PER_SPECIMEN, PER_TEST, PER_REPLICATE)
 #: Prefixes of paths that do not belong to the material.
-_NOT_MATERIAL = ("experiment.", "rig.")
+_NOT_MATERIAL = ("experiment.", "rig.", "readout.")
 
 
 @dataclass(frozen=True)
@@ -92,12 +93,13 @@ class ScopedCampaignParameter:
         return not self.path.startswith(_NOT_MATERIAL)
 
 
-def get_experiment_and_rig_declarations_by_path(experiment: Experiment | None, rig: Rig) -> dict[str, Declaration]:
-    """Return path -> declaration of the parameters of an experiment and a rig; empty without an experiment."""
-    if experiment is None:
-        return {}
-    return {f"{part}.{path}": each.declaration for part, whole in (("experiment", experiment), ("rig", rig))
-            for path, each in parameters(whole).items()}
+def get_experiment_and_rig_declarations_by_path(experiment: Experiment | None, rig: Rig,
+                                                readout: ModulusReadout | None = None) -> dict[str, Declaration]:
+    """Return path -> declaration of the parameters of an experiment and a rig, or of the readout of moduli."""
+    parts: tuple[tuple[str, object], ...] = (("experiment", experiment), ("rig", rig)) if experiment is not None else ()
+    if readout is not None:
+        parts = (("readout", readout),)
+    return {f"{part}.{path}": each.declaration for part, whole in parts for path, each in parameters(whole).items()}
 
 
 def build_placeholder_material_with_effects(values: Mapping[str, float],
@@ -164,7 +166,8 @@ def _resolve_campaign_parameter(name: str, field: str, laws: Mapping[str, Declar
                 field=field)
         first = next(iter(own))
         return ScopedCampaignParameter(own[first], around[first][own[first]], False,
-                                       _read_scope(name, scope, tuple(own), None),
+                                       _read_scope(name, scope, tuple(own),
+                                                   SHARED if path.startswith("readout.") else None),
                                        tuple(own))
     if "." not in path:
         hint = (make_hint_with_similar_or_known_words(name, laws)

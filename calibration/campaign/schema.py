@@ -137,6 +137,7 @@ class TestTable(_Table, frozen=True, kw_only=True):
     speed_mm_s: float | None = None
     protocol: str | None = None
     max_strain: float | None = None
+    pre_strain: float | None = None
     hold_out: bool = False
     contact: Literal["recorded", "find"] | float = "recorded"
     failure: Literal["cut", "keep", "refuse"] = "cut"
@@ -176,6 +177,7 @@ class NoiseTable(_Table, frozen=True, kw_only=True):
 
     force_N: float | Literal["estimate"] = "estimate"
     nominal_stress_Pa: float | Literal["estimate"] = "estimate"
+    modulus_relative: float | Literal["estimate"] = "estimate"
     correlation_time_s: float | Literal["estimate"] | None = None
     contact_jitter_mm: float | Literal["estimate"] | None = None
     zero_jitter_N: float | Literal["estimate"] | None = None

@@ -307,6 +307,8 @@ def _build_model_path_as_forceless_recording(test: ForwardTest) -> MeasuredCurve
         even = np.linspace(first.sample_times[0], first.sample_times[-1], 4 * _CURVES.points)
         time, displacement = even, np.interp(even, first.sample_times, first.displacement)
         segment = np.full(displacement.size, "")
+    elif first.test.modulus:
+        displacement = np.geomspace(reached.min(), reached.max(), _CURVES.points)
     else:
         # A gripped specimen may be loaded in both directions.
         start = min(0.0, float(reached.min())) if first.test.kind.has_gripped_ends else 0.0

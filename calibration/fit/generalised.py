@@ -279,7 +279,8 @@ class GeneralisedLeastSquaresEstimator(Estimator):
             parts.append(f"the tests do not determine {space.format_symbols(found.loose)}")
         return {
             "R2": compute_r_squared(problem.data, residual), "RMSE_N": None if stressed else root,
-            "RMSE_Pa": root if len(stressed) == len(problem.measured) else None, "on_bound": on_bound,
+            "RMSE_Pa": root if len(stressed) == len(problem.measured) and not any(
+                curve.test.modulus for curve in stressed) else None, "on_bound": on_bound,
             "nuisances": _build_nuisance_records(problem, evaluation), "warnings": warnings,
             "message": "; ".join([*parts, *warnings]), "history": history, "regions": regions,
             "condition": compute_information_condition_or_none(spread), "directions": directions,

@@ -109,12 +109,13 @@ def _iterate_regions(
                         [(inside := curve.segment == segment, _compute_relative_segment_time(curve.time, inside))
                          for curve in test.measured]) for segment in segments]
         else:
-            deepest = max(curve.displacement.max() for curve in test.measured)
-            # Loading begins at rest, or at the largest compression of a gripped specimen.
-            lowest = min(0.0, *(curve.displacement.min() for curve in test.measured)) \
-                if test.measured[0].test.kind.has_gripped_ends else 0.0
-            positions = [np.clip((curve.displacement - lowest) / (deepest - lowest), 0.0, 1.0) * 3
-                         for curve in test.measured]
+            is_modulus = bool(test.measured[0].test.modulus)
+            paths = [np.log(curve.displacement) if is_modulus else curve.displacement for curve in test.measured]
+            deepest, lowest = max(path.max() for path in paths), min(path.min() for path in paths)
+            if not is_modulus:
+                # Loading begins at rest, or at the largest compression of a gripped specimen.
+                lowest = min(0.0, lowest) if test.measured[0].test.kind.has_gripped_ends else 0.0
+            positions = [np.clip((path - lowest) / (deepest - lowest), 0.0, 1.0) * 3 for path in paths]
             regions = [(name, _REGIONS.third_modes, [(((s > third) | (third == 0)) & (s - third <= 1),
                                                        np.clip(s - third, 0.0, 1.0)) for s in positions])
                        for third, name in enumerate(THIRDS)]

@@ -501,8 +501,9 @@ class GeneralisedProblem(LeastSquaresProblem):
             modes, weights = self._compute_mesh_error_modes_of_force(t, measured, model), nuisances[self.shared[t]]
             # A mesh error proportional to the force changes the derivatives by the same factor.
             factor = 1.0 + self._compute_mesh_error_modes_of_force(t, measured, np.ones_like(model)) @ weights
-            nuisance_columns = {"contact": factor * contact_rate, "zero": np.ones_like(model)}
-            force[rows] = model + values.get("zero", 0.0)
+            zero = np.full_like(model, float(measured.has_contact_and_zero))
+            nuisance_columns = {"contact": factor * contact_rate, "zero": zero}
+            force[rows] = model + values.get("zero", 0.0) * zero
             gap = force[rows] - measured.force + modes @ weights
             white = whiten_columns(np.column_stack([gap, factor[:, None] * model_rates, *(
                 size * nuisance_columns[name] for name, size in zip(self.kinds, sizes, strict=True)), modes]),
@@ -543,6 +544,8 @@ class GeneralisedProblem(LeastSquaresProblem):
         found: list[list[WhitenedReplicate]] = [[] for _ in self.tests]
         for t, r in self.places:
             measured = self.tests[t].measured[r]
+            if not measured.has_contact_and_zero:
+                continue
             model, rates, contact = self.tests[t].evaluate_force_and_derivatives(answers[t], r, 0.0)
             white = whiten_columns(np.column_stack([model - measured.force, contact, np.ones_like(model), rates,
                                                     self._compute_mesh_error_modes_of_force(t, measured, model)]),
@@ -579,6 +582,9 @@ def make_stated_or_guessed_jitter(campaign: Campaign, curves: Sequence[MeasuredC
     """Return one jitter for all tests: stated values, or first guesses of values that are estimated later."""
     fit, noise = campaign.fit, campaign.noise
     contact, zero, freedom = noise.contact_jitter, noise.zero_jitter, None
+    curves = [curve for curve in curves if curve.has_contact_and_zero]
+    if not curves:
+        return ContactAndForceZeroJitter(0.0, 0.0, None)
     largest = float(np.median([np.abs(curve.force).max() for curve in curves]))
     if fit.offset == "fit":
         noisiest = max(curve.noise.deviation for curve in curves)

@@ -124,7 +124,8 @@ def predict_test(problem: LeastSquaresProblem, test: ForwardTest, predictor: Pre
         if jitter is not None:
             variance = np.einsum("np,pq,nq->n", rates, covariance, rates) + measured.noise.deviation**2
             expected += float(np.sum(variance + (jitter.contact * contact)**2 + jitter.zero**2))
-        largest = max(largest, float(np.abs(measured.force).max()))
+        # A difference of logarithms is relative to the modulus.
+        largest = 1.0 if measured.test.modulus else max(largest, float(np.abs(measured.force).max()))
         samples += measured.force.size
     rmse = float(np.sqrt(squares / samples))
     stressed = test.measured[0].test.states_stress

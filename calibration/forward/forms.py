@@ -13,6 +13,7 @@ from calibration.campaign.tables import ROUND_SOLVER
 from calibration.forward.closed import ClosedFormTest, ColumnTest
 from calibration.forward.contract import ForwardTest
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS, MESH_ERROR, get_solver_fit_resolutions
+from calibration.forward.modulus import ModulusTest
 from calibration.forward.motion import MonotonicLoading, TimedMotion
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.simulation_cache import hash_content_and_source_code
@@ -64,8 +65,8 @@ _MARGINS = DepthMarginSettings()
 
 
 def build_forward_test_of_inverse_fit(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings,
-                                      contact: float) -> SimulatedTest | ClosedFormTest:
-    """Return the forward model of a test in an inverse (finite element) fit; a closed form for stress recordings.
+                                      contact: float) -> SimulatedTest | ClosedFormTest | ModulusTest:
+    """Return the forward model of a test in an inverse (finite element) fit; a closed form for stress and moduli.
 
     Args:
         test: test of the campaign.
@@ -75,6 +76,8 @@ def build_forward_test_of_inverse_fit(test: Test, curves: Sequence[MeasuredCurve
     """
     material = settings.placeholder_material_with_effects
     curves = tuple(curves)
+    if test.modulus:
+        return ModulusTest(test.name, test.kind, test.modulus, test.pre_strain, curves)
     if test.experiment is None or curves[0].stressed:
         return build_weightless_closed_form_test(test, curves)
     layered = bool(material.layers)

@@ -64,7 +64,7 @@ def draw_test_figure(fits: Sequence[Fit], curves: Mapping[str, TestCurves], unit
         draw_view_panel(panel, titled, view)
     timed = have_times_and_several_segments(best.measured)
     x = ResidualAxis(units.get_displacement_unit(best.test), units.get_load_unit(best.test), timed,
-                     "time [s]" if timed else shown_views[0].x)
+                     "time [s]" if timed else shown_views[0].x, not timed and shown_views[0].log)
     spans = [(r, span) for r in fit.regions if r.test == best.test.name and not r.adequate
              for span in x.iterate_spans_of_one_region(r, best.measured)]
     for _, (start, end) in spans:
@@ -78,6 +78,8 @@ def draw_test_figure(fits: Sequence[Fit], curves: Mapping[str, TestCurves], unit
     _write_misfit_force_labels(residual, spans, x.load)
     for panel in (band, residual):
         panel.set(xlabel=x.label, ylabel=x.load.format_axis_label("model − data"))
+        if x.log:
+            panel.set_xscale("log")
     figure.align_labels()
     add_figure_legend_above_panels(figure)
     return figure
@@ -116,6 +118,9 @@ def draw_view_panel(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: P
     if view.log:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
+    if view.log_load:
+        axes.set_yscale("log")
+        axes.autoscale(axis="y")
 
 
 def _set_y_limits(axes, shown: np.ndarray, rates: bool) -> None:
@@ -140,12 +145,14 @@ class ResidualAxis:
         load: unit of force.
         timed: whether the axis is time.
         label: label of the axis.
+        log: whether the axis is logarithmic.
     """
 
     travel: DisplayUnit
     load: DisplayUnit
     timed: bool
     label: str
+    log: bool = False
 
     def compute_sample_positions(self, measured: MeasuredCurve) -> np.ndarray:
         """Return the coordinate of each sample on this axis, in the unit of the axis, shape (n,)."""
@@ -154,8 +161,8 @@ class ResidualAxis:
     def compute_bin_edges(self, recordings: Sequence[MeasuredCurve]) -> np.ndarray:
         """Return the edges of equal bins over all recordings, in the unit of the axis, shape (bins + 1,)."""
         positions = [self.compute_sample_positions(measured) for measured in recordings]
-        return np.linspace(min(each.min() for each in positions), max(each.max() for each in positions),
-                           LAYOUT.residual_bins + 1)
+        low, high = min(each.min() for each in positions), max(each.max() for each in positions)
+        return (np.geomspace if self.log else np.linspace)(low, high, LAYOUT.residual_bins + 1)
 
     def iterate_spans_of_one_region(self, region: RegionMisfitTest,
                                     recordings: Sequence[MeasuredCurve]) -> Iterator[tuple[float, float]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import math
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -290,8 +291,15 @@ def _make_cells_of_abscissa_force_and_stress(test: TestCurves, displacement: flo
     """Return the cells of a row: abscissa (name, value), displacement in mm, forces in N and stresses in Pa.
 
     Cells that the test does not define are None. A nominal stress is negative in compression, its errors are positive.
+    For a table of moduli the abscissa is the frequency, and the stress is the modulus.
     """
     setup, empty = test.test, [None] * (len(forces) + len(errors))
+    if setup.modulus:
+        # The fit compares logarithms; a third force is the difference of the first two.
+        moduli = [math.exp(force) for force in forces[:2]]
+        differences = [moduli[1] - moduli[0]] if len(forces) > 2 else []
+        return ["frequency [Hz]", displacement, None, *empty, *moduli, *differences,
+                *(error * moduli[0] for error in errors)]
     mechanical = [None, *empty] if setup.states_stress else [displacement * 1e3, *forces, *errors]
     if test.area is None:
         return [None, None, *mechanical, *empty]

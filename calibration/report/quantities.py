@@ -250,11 +250,15 @@ class ReportUnits:
                    DisplayUnit(*choose_pressure_unit_name_and_size(modulus)))
 
     def get_load_unit(self, test: Test) -> DisplayUnit:
-        """Return the unit of force, or of stress for a test without specimen."""
+        """Return the unit of force, of stress for a test without specimen, or of differences of log moduli."""
+        if test.modulus:
+            return DisplayUnit("%", 1e-2)
         return self.pressure if test.states_stress else self.force
 
     def get_displacement_unit(self, test: Test) -> DisplayUnit:
-        """Return the unit of displacement, or of strain for a test without specimen."""
+        """Return the unit of displacement, of strain for a test without specimen, or of frequency."""
+        if test.modulus:
+            return DisplayUnit("Hz", 1.0)
         return DisplayUnit("", 1.0) if test.states_stress else self.length
 
     def format_contact_and_zero_scatter(self, jitter: ReplicateJitterRecord,
@@ -265,6 +269,8 @@ class ReportUnits:
         """
         test = self.choose_first_specimen_test_or_first(tests)
         contact = jitter.contact_mm * 1e-3
+        if test.modulus:
+            return f"{contact:.2g} of strain", self.pressure.format_quantity(jitter.zero_N, 2)
         return self.get_displacement_unit(test).format_quantity(contact, 2) + (" of strain" if test.states_stress
                                                                                else ""), \
             self.get_load_unit(test).format_quantity(jitter.zero_N, 2)
@@ -272,7 +278,8 @@ class ReportUnits:
     @staticmethod
     def choose_first_specimen_test_or_first(tests: Sequence[Test]) -> Test:
         """Return the test that decides the units of common quantities: the first with a specimen, else the first."""
-        return next((test for test in tests if not test.states_stress), tests[0])
+        return next((test for test in tests if not test.states_stress),
+                    next((test for test in tests if not test.modulus), tests[0]))
 
     def choose_display_unit_of_si_unit(self, unit: str) -> DisplayUnit:
         """Return the display unit of a parameter whose SI unit is `unit`."""

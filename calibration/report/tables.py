@@ -119,6 +119,8 @@ def make_prediction_table(predictions: Iterable[Prediction], tests: Mapping[str,
         how += f"; no prediction: {p.note}" if p.percent is None and p.note else ""
         short = f"{'left out' if p.fitted else 'held out'}{f', by the mean of {len(p.mean_of)}' if p.mean_of else ''}"
         load, error = units.get_load_unit(test), p.RMSE_Pa if test.states_stress else p.RMSE_N
+        if test.modulus and p.percent is not None:
+            error = 1e-2 * p.percent
         rows.append([
             None if p.law == last else make_text_of_page_or_terminal(format_law_title(p.law), p.law), p.test,
             make_text_of_page_or_terminal(how, short),

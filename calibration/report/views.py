@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -87,6 +88,7 @@ class PanelLabelsAndLineFunction:
         lines: returns the lines of a trace in the units of the axes.
         own: whether laws are drawn with the contact offset and force zero of the first recording (timed tests only).
         log: whether the horizontal axis is logarithmic.
+        log_load: whether the vertical axis is logarithmic.
         rates: whether outliers are expected, which are then ignored for the scale.
     """
 
@@ -97,6 +99,7 @@ class PanelLabelsAndLineFunction:
     own: bool = False
     log: bool = False
     rates: bool = False
+    log_load: bool = False
 
 
 def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabelsAndLineFunction]:
@@ -106,7 +109,12 @@ def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabel
     - Nominal stress against strain, if grips or plates load the entire cross-section.
     - Slope (stiffness or tangent modulus) of one of these.
     - Load against time, and load in holds against the logarithm of time, for timed tests.
+    - For a table of moduli only the modulus against frequency, both logarithmic.
     """
+    if best.test.modulus:
+        return [PanelLabelsAndLineFunction(
+            best.test.modulus.capitalize(), "frequency [Hz]", units.pressure.format_axis_label(best.test.modulus),
+            partial(_iterate_modulus_lines, units.pressure), log=True, log_load=True)]
     test, found = best.test, []
     x, load, area = units.get_displacement_unit(test), units.get_load_unit(test), _find_loaded_area_or_none(best)
     curve, x_label, history = _LoadDisplacementLines(x, load), x.format_axis_label("displacement"), _LoadTimeLines(load)
@@ -135,6 +143,12 @@ def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabel
                                                     history.iterate_holds,
                                                     own=True, log=True))
     return found
+
+
+def _iterate_modulus_lines(pressure: DisplayUnit, trace: CurveTrace) -> Lines:
+    """Yield one line: frequency, Hz, modulus and band (or None), in display units, from the log of the modulus."""
+    modulus = np.exp(trace.force) / pressure.size
+    yield trace.displacement, modulus, None if trace.band is None else modulus * trace.band
 
 
 def _find_loaded_area_or_none(curves: TestCurves) -> float | None:

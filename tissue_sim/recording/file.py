@@ -25,7 +25,7 @@ from tissue_sim.units import get_si_factor_and_offset
 
 #: Quantity -> unit in the CSV file.
 _FILE_UNITS = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "-",
-               "angle": "deg", "temperature": "degC"}
+               "angle": "deg", "temperature": "degC", "frequency": "Hz"}
 
 
 def read_recording(path: str | Path, *, format: str = "native", columns: Mapping[str, Any] | None = None,

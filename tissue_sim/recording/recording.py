@@ -24,6 +24,8 @@ CHANNELS: dict[str, str] = {
     "time": "time", "displacement": "length", "force": "force",
     "stretch": "ratio", "nominal stress": "stress", "shear strain": "ratio",
     "angle": "angle", "torque": "torque", "temperature": "temperature",
+    "frequency": "frequency", "storage modulus": "stress", "loss modulus": "stress", "loss factor": "ratio",
+    "complex modulus": "stress",
     "displacement 2": "length", "force 2": "force", "stretch 2": "ratio", "nominal stress 2": "stress",
     "Fx": "force", "Fy": "force", "Fz": "force", "Tx": "torque", "Ty": "torque", "Tz": "torque",
 }

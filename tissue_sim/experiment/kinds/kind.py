@@ -30,6 +30,11 @@ DISPLACEMENT_FORCE = ("displacement", "force")
 ANGLE_TORQUE = ("angle", "torque")
 #: Channels of a stress-stretch curve.
 STRETCH_STRESS = ("stretch", "nominal stress")
+#: Moduli of small oscillations that a model predicts.
+MODULI = ("storage modulus", "loss modulus")
+#: Pairs of channels of a table of moduli; one of them and the frequency determine both moduli.
+MODULUS_PAIRS = (MODULI, ("storage modulus", "loss factor"), ("complex modulus", "loss factor"),
+                 ("loss modulus", "loss factor"))
 #: Channels of a shear curve.
 SHEAR_STRESS = ("shear strain", "nominal stress")
 
@@ -277,7 +282,7 @@ class TestKind:
         return self.tool
 
     def require_channels(self, present: Any, has: str, **place: Any) -> None:
-        """Require one of the alternatives of channels.
+        """Require one of the alternatives of channels, or the channels of a table of moduli.
 
         Args:
             present: names of the channels of a recording.
@@ -287,6 +292,8 @@ class TestKind:
         Raises:
             InputError: the recording has none of the alternatives.
         """
+        if self.closed_form is not None and any({"frequency", *pair} <= set(present) for pair in MODULUS_PAIRS):
+            return
         if not any(set(names) <= set(present) for names in self.channels):
             needs = " or ".join(" and ".join(map(repr, dict.fromkeys(names))) for names in self.channels)
             raise InputError(f"{self.name} needs columns {needs}; {has}", **place)

@@ -43,7 +43,7 @@ _LEADING_DIGITS = re.compile(r"[+-]?[1-9]\d{0,2}")
 #: Quantity -> name of its SI unit in messages.
 _SI_UNIT_WORDS = {"time": "s", "length": "m", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "units",
                   "angle": "rad",
-                  "temperature": "K"}
+                  "temperature": "K", "frequency": "Hz"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -296,7 +296,7 @@ def get_si_conversion(channel: str, unit: str | None, scale: float | None = None
         raise InputError(f"{unit} is the signal of a sensor; give scale, the {_SI_UNIT_WORDS[quantity]} in 1 {unit}")
     if unit is None:
         example = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "kPa", "angle": "deg",
-                   "temperature": "degC"}
+                   "temperature": "degC", "frequency": "Hz"}
         raise InputError(f"the unit is missing, expected a {quantity} such as [{example[quantity]}]")
     return get_si_factor_and_offset(unit, quantity)
 
