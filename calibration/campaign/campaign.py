@@ -200,6 +200,7 @@ class Noise:
         force: noise of the force, N; None: estimated from the samples.
         nominal_stress: noise of the stress, Pa, for tests recorded as stress; None: estimated.
         modulus: noise of a storage or loss modulus relative to its value; None: estimated for each modulus.
+        displacement: noise of the displacement, m, for recordings under force control; None: estimated.
         contact_jitter: scatter of the contact point between replicates, m; None: estimated (inverse fits).
         zero_jitter: scatter of the force zero between replicates, N; None: estimated (inverse fits).
         correlation_time: correlation time of the force noise, s; 0: white noise; None: estimated (inverse fits).
@@ -211,6 +212,7 @@ class Noise:
     zero_jitter: float | None = 0.0
     correlation_time: float | None = None
     modulus: float | None = None
+    displacement: float | None = None
 
 
 @dataclass(frozen=True)
@@ -435,7 +437,7 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
 
 def _convert_noise_table_to_si(table: NoiseTable, method: str) -> Noise:
     """Convert the table ``[noise]`` to SI units and check it."""
-    for key in ("force_N", "nominal_stress_Pa", "modulus_relative"):
+    for key in ("force_N", "nominal_stress_Pa", "modulus_relative", "displacement_mm"):
         value = getattr(table, key)
         require_positive_if_stated(None if value == "estimate" else value, f"noise.{key}")
     known: dict[str, float | None] = {}
@@ -458,4 +460,5 @@ def _convert_noise_table_to_si(table: NoiseTable, method: str) -> Noise:
                  nominal_stress=None if table.nominal_stress_Pa == "estimate" else table.nominal_stress_Pa,
                  contact_jitter=None if contact is None else contact * 1e-3, zero_jitter=known["zero_jitter_N"],
                  correlation_time=known["correlation_time_s"],
-                 modulus=None if table.modulus_relative == "estimate" else table.modulus_relative)
+                 modulus=None if table.modulus_relative == "estimate" else table.modulus_relative,
+                 displacement=None if table.displacement_mm == "estimate" else 1e-3 * table.displacement_mm)

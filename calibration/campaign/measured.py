@@ -12,6 +12,7 @@ import numpy as np
 
 import tissue_sim
 from calibration.campaign.campaign import Campaign, Test
+from calibration.campaign.force_control import estimate_force_control_noise, is_force_controlled
 from calibration.campaign.loads import combine_loads, is_load_against_motion, read_motion_and_loads
 from calibration.campaign.modulus_tables import estimate_noise_of_moduli, get_frequency_and_log_modulus
 from calibration.campaign.parameters import OFFSET_DEFAULTS
@@ -30,7 +31,12 @@ from calibration.campaign.sample_selection import (
     select_sample_indices_for_elastic_law,
 )
 from calibration.campaign.schema import PRISM
-from calibration.statistics.sensor_noise import SensorNoise, estimate_pooled_sensor_noise, spread_time_stamps
+from calibration.statistics.sensor_noise import (
+    ForceControlNoise,
+    SensorNoise,
+    estimate_pooled_sensor_noise,
+    spread_time_stamps,
+)
 from calibration.statistics.statistics import estimate_white_noise, find_quantisation_step
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
@@ -135,12 +141,14 @@ class MeasuredCurve:
         sha256: SHA-256 of the file.
         stressed: whether strain and stress were recorded.
         later: number of samples after the loading (holds, unloading) that are left out for a model without memory.
-        noise: noise of the sensor; None only while the test is being read.
+        noise: noise of the force at the measured displacement: noise of the sensor, and of the displacement if the
+            force is controlled; None only while the test is being read.
         interpolation: matrix that interpolates the samples of the file to these points, shape (n, samples); None: no
             interpolation.
         whole: all samples of the recording with their segments; None for a synthetic recording.
         notes: subject -> note for the user.
         screening: findings about the signals: samples left out, saturation, preload, controlled quantity.
+        force_control: noise of both channels if the force is controlled; None: the displacement is controlled.
     """
 
     name: str
@@ -159,6 +167,7 @@ class MeasuredCurve:
     notes: Mapping[str, str] = field(default_factory=dict)
     screening: Screening = field(default_factory=Screening)
     motions: np.ndarray | None = None
+    force_control: ForceControlNoise | None = None
 
     def select(self, samples) -> MeasuredCurve:
         """Return the curve with the samples of a mask, slice or index array."""
@@ -257,11 +266,33 @@ def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, .
                     [(curve.force, curve.time, curve.segment) for curve in curves], deviation=stated,
                     correlation_time=campaign.noise.correlation_time)
             curves = [replace(curve, noise=noise) for curve in curves]
-        found[test.name] = tuple(curves)
+        found[test.name] = tuple(_add_noise_of_force_control(curves, campaign))
     fitted = [curve for test in campaign.tests if not test.hold_out for curve in found[test.name]]
     if analytical and campaign.fit.offset == "fit" and all(curve.stressed for curve in fitted):
         raise InputError('offset = "fit" requires tests recorded as displacement and force; set offset = "none"',
                          file=campaign.path, field="fit.offset")
+    return found
+
+
+def _add_noise_of_force_control(curves: Sequence[MeasuredCurve], campaign: Campaign) -> list[MeasuredCurve]:
+    """Return the recordings of a test, with the noise of both channels where the force is controlled.
+
+    A recording without time, or with interpolated points, is not changed: its noises cannot be separated. A recording
+    of several motions is not changed either: each load would be a function of all displacements.
+    """
+    found = list(curves)
+    driven = [i for i, curve in enumerate(curves) if is_force_controlled(curve.screening, curve.test, curve.time)
+              and curve.interpolation is None and curve.motions is None]
+    if driven:
+        first = curves[driven[0]]
+        stated = None if first.stressed else campaign.noise.displacement
+        control, noises = estimate_force_control_noise(
+            [(curves[i].displacement, curves[i].time, curves[i].segment) for i in driven],
+            [(curves[i].force, curves[i].time, curves[i].segment) for i in driven],
+            (stated, _find_stated_force_noise_or_none(first, campaign)),
+            0.0 if campaign.fit.method == "analytical" else campaign.noise.correlation_time)
+        for i, noise in zip(driven, noises, strict=True):
+            found[i] = replace(curves[i], force_control=control, noise=noise)
     return found
 
 
@@ -343,6 +374,7 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
         keep = inside if inside.any() else keep
     check_displacement_range(displacement[keep], height, test, path)
     samples, later = np.flatnonzero(keep), 0
+    driven = force if motions is None and is_force_controlled(screening, test, time) else displacement
     if remembering:
         if time is None:
             raise InputError(f"{path.name} has no time, and the force of this material depends on time; state a time "
@@ -358,7 +390,7 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
         if motions is None:
             samples = samples[np.argsort(displacement[samples], kind="stable")]
     else:
-        samples = select_sample_indices_for_elastic_law(samples, displacement, screening, path,
+        samples = select_sample_indices_for_elastic_law(samples, driven, screening, path,
                                                         both_sides=test.kind.has_gripped_ends)
         # Samples after a failure are cut and do not count as hold or unloading.
         failure = whole.segmentation.failure
@@ -387,7 +419,7 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
         if campaign.fit.method != "analytical":
             # Distinct times, if the clock is coarser than the sampling interval.
             time = spread_time_stamps(time, time.size)
-        labels = append_numbers_to_repeated_runs(label_samples_ramp_hold_unload(time, displacement[samples])
+        labels = append_numbers_to_repeated_runs(label_samples_ramp_hold_unload(time, driven[samples])
                                                  if labels is None else labels[samples])
     used = np.isin(np.arange(displacement.size), samples)
     curve = MeasuredCurve(name, test, time, displacement[samples], force[samples], labels if remembering else None,

@@ -38,7 +38,7 @@ OTHER_SIDE = 0.05
 _FAR = 0.1
 
 
-def select_sample_indices_for_elastic_law(samples: np.ndarray, displacement: np.ndarray, screening: Screening,
+def select_sample_indices_for_elastic_law(samples: np.ndarray, driven: np.ndarray, screening: Screening,
                                           path: Path, *, both_sides: bool) -> np.ndarray:
     """Select the samples to which a law without memory is fitted: the first loading, or all of an oscillation.
 
@@ -46,7 +46,7 @@ def select_sample_indices_for_elastic_law(samples: np.ndarray, displacement: np.
 
     Args:
         samples: indices of the usable samples, shape (k,).
-        displacement: displacement of all samples, m, shape (n,).
+        driven: controlled displacement, m, or force, N, of all samples, shape (n,).
         screening: findings about the signals.
         path: file of the recording, for messages.
         both_sides: whether the specimen is loaded in both directions.
@@ -68,7 +68,7 @@ def select_sample_indices_for_elastic_law(samples: np.ndarray, displacement: np.
         if samples.size < MIN_POINTS:
             raise InputError(f"{path.name} must have at least {MIN_POINTS} samples of loading before its creep; got "
                              f"{samples.size}. {control.sentence}", field="recordings")
-    loads = find_loading_indices_of_one_or_both_sides(displacement[samples], both_sides=both_sides) if samples.size \
+    loads = find_loading_indices_of_one_or_both_sides(driven[samples], both_sides=both_sides) if samples.size \
         else samples
     if loads.size < MIN_POINTS:
         raise InputError(f"{path.name} must have at least {MIN_POINTS} samples of loading; its largest strain is in "

@@ -178,6 +178,7 @@ class NoiseTable(_Table, frozen=True, kw_only=True):
     force_N: float | Literal["estimate"] = "estimate"
     nominal_stress_Pa: float | Literal["estimate"] = "estimate"
     modulus_relative: float | Literal["estimate"] = "estimate"
+    displacement_mm: float | Literal["estimate"] = "estimate"
     correlation_time_s: float | Literal["estimate"] | None = None
     contact_jitter_mm: float | Literal["estimate"] | None = None
     zero_jitter_N: float | Literal["estimate"] | None = None

@@ -20,6 +20,7 @@ from calibration.campaign.parameters import OFFSET_DEFAULTS
 from calibration.fit.problem import LeastSquaresProblem, LongTermPronyVariables, ProblemEvaluation, Variables
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.contract import InfeasibleError, find_largest_strain_of_data_or_none
+from calibration.forward.force_control import evaluate_residual_under_force_control
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.statistics import (
     compute_median_sampling_interval_or_zero,
@@ -43,12 +44,15 @@ class OrdinaryProblem(LeastSquaresProblem):
         settings: settings of the fit, including bounds and priors of offsets.
         noise: pooled noise of the nominal stress, Pa.
         force_noise: largest force noise of the recordings, N.
+        moves_force_control: see `calibration.forward.force_control.evaluate_residual_under_force_control`. Without the
+            step the residuals are linear in the moduli.
     """
 
     tests: tuple[ClosedFormTest, ...]
     settings: FitSettings
     noise: float
     force_noise: float
+    moves_force_control: bool = True
 
     @property
     def mesh_error(self) -> tuple[float, ...]:
@@ -181,6 +185,11 @@ class OrdinaryProblem(LeastSquaresProblem):
         """Same problem without the self-weight of the specimens."""
         return replace(self, tests=tuple(test.counterpart_without_self_weight for test in self.tests))
 
+    @property
+    def linear_in_moduli(self) -> OrdinaryProblem:
+        """Same problem without the Newton step of recordings under force control."""
+        return replace(self, moves_force_control=False)
+
     def compute_unknown_scales(self, theta: np.ndarray) -> np.ndarray:
         """Return the scale of each unknown: size of a parameter, prior deviation of an offset or zero; shape (k,)."""
         free = len(self.space.free)
@@ -211,21 +220,29 @@ class OrdinaryProblem(LeastSquaresProblem):
         See `LeastSquaresProblem._compute_residual_rates_columns_and_force`.
         """
         free = len(self.space.free)
-        force, rates = np.empty(self.samples), np.zeros((self.samples, theta.size))
+        force, residual, rates = np.empty(self.samples), np.empty(self.samples), np.zeros((self.samples, theta.size))
         answers = [test.solve(self.space, theta[:free], self.solves) for test in self.tests]
         for i, (rows, (t, r),
                 (offset, zero)) in enumerate(zip(self.rows, self.places,
                                                  self.get_contact_offsets_and_zeros(theta).tolist(),
                                                  strict=True)):
-            shifted = i in self.shifted
-            force[rows], rates[rows, :free], contact = self.tests[t].evaluate_force_and_derivatives(
-                answers[t], r, offset, shifted)
+            test, shifted = self.tests[t], i in self.shifted
+            columns = slice(free, free)
             if shifted:
-                column = free + 2 * self.shifted.index(i)
+                columns = slice(free + 2 * self.shifted.index(i), free + 2 * self.shifted.index(i) + 2)
+            if test.measured[r].force_control is not None:
+                residual[rows], found, force[rows] = evaluate_residual_under_force_control(
+                    test, answers[t], r, offset, zero, self.moves_force_control)
+                rates[rows, :free], rates[rows, columns] = found[:, :free], found[:, free:] if shifted else 0.0
+                continue
+            force[rows], rates[rows, :free], contact = test.evaluate_force_and_derivatives(answers[t], r, offset,
+                                                                                           shifted)
+            if shifted:
                 force[rows] += zero
-                rates[rows, column], rates[rows, column + 1] = contact, 1.0
+                rates[rows, columns] = np.column_stack([contact, np.ones(contact.size)])
+            residual[rows] = force[rows] - self.data[rows]
         unit = self.area * self.noise
-        return (force - self.data) / unit, rates / unit[:, None], np.zeros((self.samples, 0)), np.zeros(0), force
+        return residual / unit, rates / unit[:, None], np.zeros((self.samples, 0)), np.zeros(0), force
 
     def compute_stress_changes_per_jitter_or_none(self, theta: np.ndarray, noise: Noise) -> np.ndarray | None:
         """Return the change of the nominal stress per standard deviation of contact and zero jitter, Pa, shape (N, 2).
@@ -336,9 +353,10 @@ def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     kinds = list(dict.fromkeys(paths))
     # The stress is linear in the moduli without self-weight and slightly nonlinear with it: further linear solves
     # follow.
-    weightless = problem.without_self_weight
+    linear = problem.linear_in_moduli
+    weightless = linear.without_self_weight
     solves = [weightless] if all(test.is_force_proportional_to_moduli
-                                 for test in problem.tests) else [weightless, problem, problem]
+                                 for test in problem.tests) else [weightless, linear, linear]
     strain = max(float(np.ptp(np.concatenate([test.convert_displacement_to_stretch_or_shear(curve.displacement)
                                               for curve in test.measured])))
                  for test in problem.tests)

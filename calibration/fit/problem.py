@@ -20,11 +20,11 @@ from calibration.campaign.measured import MeasuredCurve, compute_default_contact
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.campaign.parameters import OFFSET_DEFAULTS
 from calibration.forward.contract import ForwardTest, InfeasibleError, find_largest_strain_of_data_or_none
+from calibration.forward.force_control import whiten_force_changes
 from calibration.forward.forms import build_forward_test_of_inverse_fit, compute_mesh_uncertainty
 from calibration.forward.meshes import FAST_MESH_ERRORS
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter, WhitenedReplicate
-from calibration.statistics.sensor_noise import whiten_columns
 from tissue_sim.errors import InputError
 
 
@@ -468,8 +468,8 @@ class GeneralisedProblem(LeastSquaresProblem):
                 continue
             forces = test.compute_force_at_contact_offsets(answers[t], r, offsets * self.jitter.contact)
             gaps = forces - measured.force[:, None]
-            white = whiten_columns(np.column_stack([gaps, np.full(measured.force.size, self.jitter.zero)]),
-                                   measured.time, measured.noise)
+            white = whiten_force_changes(test, answers[t], r, np.column_stack(
+                [gaps, np.full(measured.force.size, self.jitter.zero)]))
             gaps, zero = white[:, :-1], white[:, -1]
             # The zero enters linearly, so its best value for each offset has a closed form.
             zeros = -(zero @ gaps) / (1.0 + zero @ zero)
@@ -505,9 +505,9 @@ class GeneralisedProblem(LeastSquaresProblem):
             nuisance_columns = {"contact": factor * contact_rate, "zero": zero}
             force[rows] = model + values.get("zero", 0.0) * zero
             gap = force[rows] - measured.force + modes @ weights
-            white = whiten_columns(np.column_stack([gap, factor[:, None] * model_rates, *(
-                size * nuisance_columns[name] for name, size in zip(self.kinds, sizes, strict=True)), modes]),
-                measured.time, measured.noise)
+            changes = np.column_stack([gap, factor[:, None] * model_rates, *(
+                size * nuisance_columns[name] for name, size in zip(self.kinds, sizes, strict=True)), modes])
+            white = whiten_force_changes(test, answers[t], r, changes, contact_rate)
             p = rates.shape[1]
             residual[rows], rates[rows] = white[:, 0], white[:, 1:p + 1]
             columns[rows, places] = white[:, p + 1:p + 1 + len(self.kinds)]
@@ -547,9 +547,9 @@ class GeneralisedProblem(LeastSquaresProblem):
             if not measured.has_contact_and_zero:
                 continue
             model, rates, contact = self.tests[t].evaluate_force_and_derivatives(answers[t], r, 0.0)
-            white = whiten_columns(np.column_stack([model - measured.force, contact, np.ones_like(model), rates,
-                                                    self._compute_mesh_error_modes_of_force(t, measured, model)]),
-                                   measured.time, measured.noise)
+            changes = np.column_stack([model - measured.force, contact, np.ones_like(model), rates,
+                                       self._compute_mesh_error_modes_of_force(t, measured, model)])
+            white = whiten_force_changes(self.tests[t], answers[t], r, changes, contact)
             p = rates.shape[1]
             found[t].append(WhitenedReplicate(white[:, 0], white[:, 1], white[:, 2], white[:, 3:3 + p],
                                               white[:, 3 + p:]))

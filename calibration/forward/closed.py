@@ -184,6 +184,14 @@ class ClosedFormTest:
             raise InfeasibleError(f"{self.name}: {answer.law.name} gives no finite stress")
         return force, rates, rate
 
+    def remove_memory(self, answers: list[ClosedFormParameters], recording: int, columns: np.ndarray) -> np.ndarray:
+        """Return the elastic parts of changes of the force; see `ForwardTest.remove_memory`."""
+        material = answers[recording].material
+        series = None if material is None else material.make_prony_series(self.equivalent_radius)
+        if series is None:
+            return columns
+        return series.solve_for_elastic_history(self.measured[recording].sample_times, columns)
+
     def list_finite_difference_parameters(self, answers: list[ClosedFormParameters]) -> frozenset[str]:
         """Return the names of the free parameters whose derivatives are finite differences, not exact ones."""
         names: set[str] = set()

@@ -120,6 +120,18 @@ class ForwardTest(Protocol):
             InfeasibleError: the force is not finite.
         """
 
+    def remove_memory(self, answer: Any, recording: int, columns: np.ndarray) -> np.ndarray:
+        """Return the elastic parts of changes of the force that follow from changes of the displacement.
+
+        A change e of the displacement changes the force by K e. The tangent is K = R diag(k) with the hereditary
+        integral R and the elastic stiffness k of each sample. The result is R^-1 `columns`.
+
+        Args:
+            answer: solution from `solve`.
+            recording: index in `measured`.
+            columns: changes of the force at the samples of the recording, shape (n, m).
+        """
+
     def list_finite_difference_parameters(self, answer: Any) -> frozenset[str]:
         """Return the names of the free parameters whose derivatives are finite differences, not exact ones."""
 

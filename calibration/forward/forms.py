@@ -88,7 +88,8 @@ def build_forward_test_of_inverse_fit(test: Test, curves: Sequence[MeasuredCurve
         motions: list[TimedMotion] = []
         motion_of = []
         for curve in curves:
-            motion = TimedMotion.from_recording(curve.sample_times, curve.displacement)
+            motion = TimedMotion.from_recording(curve.sample_times, curve.displacement,
+                                                force=None if curve.force_control is None else curve.force)
             same = [i for i, other in enumerate(motions) if other.has_equal_knots_within_tolerance(motion)]
             if not same:
                 motions.append(motion)

@@ -53,6 +53,10 @@ class MotionStepSettings:
         hold_fraction: largest displacement of a hold as a fraction of the travel: recorded holds have noise and creep.
         first_hold_step: first time step of a hold as a fraction of its duration.
         hold_step_ratio: ratio of successive time steps of a hold.
+        creep_step_ratio: ratio of successive time steps while the force is held.
+        smooth_degree: degree of the polynomial that smooths a segment of a displacement under force control. A larger
+            value follows faster changes and more noise.
+        samples_per_degree: smallest number of samples per degree of that polynomial.
     """
 
     smooth_steps: int = 8
@@ -63,6 +67,9 @@ class MotionStepSettings:
     hold_fraction: float = 0.01
     first_hold_step: float = 0.01
     hold_step_ratio: float = 1.6
+    creep_step_ratio: float = 1.3
+    smooth_degree: int = 7
+    samples_per_degree: int = 5
 
 
 MOTION_STEPS = MotionStepSettings()
@@ -197,53 +204,87 @@ class TimedMotion:
         displacement: displacement of the knots, m, shape (k,).
         legs: indices of the first and last knot of each straight segment.
         sampled_from: time of the first sample of the recording, s.
+        creeping: those of `legs` in which the force is held.
     """
 
     time: np.ndarray
     displacement: np.ndarray
     legs: tuple[tuple[int, int], ...]
     sampled_from: float
+    creeping: tuple[tuple[int, int], ...] = ()
 
     @classmethod
-    def from_recording(cls, time: np.ndarray, displacement: np.ndarray, *,
+    def from_recording(cls, time: np.ndarray, displacement: np.ndarray, *, force: np.ndarray | None = None,
                        steps: int = MOTION_STEPS.timed_steps) -> TimedMotion:
         """Return a recorded motion, approximated by straight segments of displacement over time.
 
-        If a recording begins below the surface, its first segment is extrapolated to first contact.
+        If a recording begins below the surface, its first segment is extrapolated to first contact. Under force control
+        the segments are those of the force, and the displacement at the knots is that of a smooth curve through each
+        segment, because straight lines through creep with noise have many corners.
 
         Args:
             time: time of the samples, s, shape (n,).
             displacement: displacement of the samples, m, shape (n,).
+            force: force of the samples, N, shape (n,), if the force is controlled; None: the displacement is.
             steps: number of steps per travel.
         """
         travel = float(np.ptp(displacement))
-        corners = find_motion_corners(time, displacement, MOTION_SETTINGS.straightness * travel)
-        corners = np.array(_find_corners_outside_holds(displacement, corners, MOTION_STEPS.hold_fraction * travel))
+        driven = displacement if force is None else force
+        reach = float(np.ptp(driven))
+        corners = find_motion_corners(time, driven, MOTION_SETTINGS.straightness * reach)
+        corners = np.array(_find_corners_outside_holds(driven, corners, MOTION_STEPS.hold_fraction * reach))
+        is_held = np.abs(np.diff(driven[corners])) <= MOTION_STEPS.hold_fraction * reach
+        if force is not None:
+            displacement = _smooth_displacement_between_corners(time, displacement, corners, is_held)
         t, d = time[corners].astype(float), displacement[corners].astype(float)
         if d[0] > MOTION_SETTINGS.straightness * travel and d.size > 1 and d[1] > d[0]:
             t, d = np.append(t[0] - d[0] * (t[1] - t[0]) / (d[1] - d[0]), t), np.append(0.0, d)
-        knots_t, knots_d, legs = [t[:1]], [d[:1]], []
+            is_held = np.append(False, is_held)
+        knots_t, knots_d, legs, creeping = [t[:1]], [d[:1]], [], []
         for i in range(t.size - 1):
             change, duration = d[i + 1] - d[i], t[i + 1] - t[i]
             fraction: np.ndarray
-            if abs(change) > MOTION_STEPS.hold_fraction * travel:
+            creeps = force is not None and bool(is_held[i])
+            if abs(change) > MOTION_STEPS.hold_fraction * travel and not creeps:
                 fraction = np.linspace(0.0, 1.0, int(np.ceil(steps * abs(change) / travel - 1e-9)) + 1)[1:]
                 # Shorter steps at first contact, as in `MonotonicLoading`: friction is path-dependent.
                 fraction = fraction**MOTION_STEPS.sliding_power if i == 0 else fraction
             else:
-                ratio = MOTION_STEPS.hold_step_ratio
+                ratio = MOTION_STEPS.creep_step_ratio if creeps else MOTION_STEPS.hold_step_ratio
                 count = int(np.ceil(np.log1p((ratio - 1) / MOTION_STEPS.first_hold_step) / np.log(ratio)))
                 fraction = (ratio ** np.arange(1, count + 1) - 1) / (ratio**count - 1)
             first = sum(part.size for part in knots_t) - 1
             legs.append((first, first + fraction.size))
             knots_t.append(t[i] + fraction * duration)
-            knots_d.append(d[i] + fraction * change)
-        return cls(np.concatenate(knots_t), np.concatenate(knots_d), tuple(legs), float(time[0]))
+            knots_d.append(d[i] + fraction * change if force is None or t[i] < time[0] else
+                           np.interp(knots_t[-1], time, displacement))
+            creeping += [legs[-1]] if creeps else []
+        return cls(np.concatenate(knots_t), np.concatenate(knots_d), tuple(legs), float(time[0]), tuple(creeping))
 
     def is_moving_between_knots(self, first: int, last: int) -> bool:
-        """Return whether the tool moves between two knots, given by index; otherwise the segment is a hold."""
+        """Return whether the tool moves between two knots, given by index; otherwise displacement or force is held."""
+        if (first, last) in self.creeping:
+            return False
         change = abs(self.displacement[last] - self.displacement[first])
         return bool(change > MOTION_STEPS.hold_fraction * np.ptp(self.displacement))
+
+    def interpolate_displacement(self, time: np.ndarray) -> np.ndarray:
+        """Return the displacement at times: straight between the knots, but a monotone cubic while the force is held.
+
+        The force at the knots is interpolated likewise, so that it belongs to the curved motion.
+
+        Args:
+            time: s, shape (n,).
+
+        Returns:
+            m, shape (n,).
+        """
+        found = np.interp(time, self.time, self.displacement)
+        for first, last in self.creeping:
+            inside = (time >= self.time[first]) & (time <= self.time[last])
+            part = slice(first, last + 1)
+            found[inside] = PchipInterpolator(self.time[part], self.displacement[part])(time[inside])
+        return found
 
     @cached_property
     def tool_protocol(self) -> Protocol:
@@ -336,8 +377,8 @@ class _TimedCurve:
             samples = leg_of == number
             values[samples] = interpolant(np.clip(time[samples], motion.time[first], motion.time[last]))
         rate = values[:, -1]
-        # A deviation of the displacement from the straight parts acts as a contact offset, to first order.
-        values[:, 0] += (offset - displacement + np.interp(time, motion.time, motion.displacement)) * rate
+        # A deviation of the displacement from the motion acts as a contact offset, to first order.
+        values[:, 0] += (offset - displacement + motion.interpolate_displacement(time)) * rate
         # The force is zero before first contact, and after separation.
         position = displacement + np.interp(time, motion.time, self._position_error)
         values[((leg_of == 0) | self._separates) & (position < offset)] = 0.0
@@ -366,6 +407,31 @@ def _find_corners_outside_holds(displacement: np.ndarray, corners: np.ndarray, t
         if not is_hold:
             kept.append(corner)
     return [*kept, int(corners[-1])]
+
+
+def _smooth_displacement_between_corners(time: np.ndarray, displacement: np.ndarray, corners: np.ndarray,
+                                         is_held: np.ndarray) -> np.ndarray:
+    """Return the displacement of a force-controlled recording without noise, m, shape (n,).
+
+    A segment is a polynomial in time, or in the logarithm of time if the force is held.
+
+    Args:
+        time: s, shape (n,).
+        displacement: m, shape (n,).
+        corners: indices of the samples at the ends of the segments, shape (k + 1,).
+        is_held: whether the force is held in each segment, shape (k,).
+    """
+    smooth = displacement.astype(float)
+    for first, last, held in zip(corners[:-1].tolist(), corners[1:].tolist(), is_held.tolist(), strict=True):
+        part = slice(first, last + 1)
+        along = (time[part] - time[first]) / (time[last] - time[first])
+        if held:
+            along = np.log1p(along / MOTION_STEPS.first_hold_step) / np.log1p(1.0 / MOTION_STEPS.first_hold_step)
+        degree = min(MOTION_STEPS.smooth_degree, (last - first) // MOTION_STEPS.samples_per_degree)
+        fitted = np.polynomial.Chebyshev.fit(along, displacement[part], degree, domain=[0.0, 1.0])(along)
+        # The first sample of a segment is the last one of the segment before.
+        smooth[part] = fitted if first == corners[0] else np.append(0.5 * (smooth[first] + fitted[0]), fitted[1:])
+    return smooth
 
 
 def compute_force_derivative_by_offset(recording: Recording) -> np.ndarray:

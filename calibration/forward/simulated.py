@@ -116,6 +116,10 @@ class SimulatedTest(SimulatedMotions):
         return SimulatedTestForceCurves(curves, [RigReadout(model.rig) for model in models], effects, space, values,
                                         frozenset(differences))
 
+    def remove_memory(self, answer: SimulatedTestForceCurves, recording: int, columns: np.ndarray) -> np.ndarray:
+        """Return `columns`: deviations from the simulated motion change the force by the stiffness at each sample."""
+        return columns
+
     def can_use_position_curve_at_parameters(self, space: ParameterSpace, theta: np.ndarray) -> bool:
         """Return whether the force comes from one loading curve and the tool positions, without the whole motion.
 

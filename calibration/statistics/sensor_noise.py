@@ -71,6 +71,19 @@ class SensorNoise:
                              field="correlation_time")
 
 
+@dataclass(frozen=True)
+class ForceControlNoise:
+    """Noise of both channels of a recording whose force is controlled.
+
+    Attributes:
+        displacement: standard deviation of the displacement, m.
+        force: standard deviation of the force, N: noise of the sensor, which the specimen does not feel.
+    """
+
+    displacement: float
+    force: float
+
+
 def whiten_columns(columns: np.ndarray, time: np.ndarray | None, noise: SensorNoise) -> np.ndarray:
     """Return columns multiplied by L^-1, where L L' is the covariance of the noise (Cholesky factor).
 

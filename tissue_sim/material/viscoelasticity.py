@@ -113,6 +113,27 @@ class RelaxationSeries:
         gain = self.g * gain
         return 1.0 - self.relaxing_fraction + gain.sum(axis=-1), decay, gain
 
+    def solve_for_elastic_history(self, time: np.ndarray, response: np.ndarray) -> np.ndarray:
+        """Solve the hereditary integral response = (1 - sum g_i) S + sum Q_i for S, linear between the points.
+
+        Args:
+            time: s, not decreasing, shape (n,); S is zero before the first point.
+            response: values of the integral, one column for each right-hand side, shape (n, k).
+
+        Returns:
+            S, in the unit of `response`, shape (n, k).
+        """
+        instant, decay, gain = self.compute_recursion_coefficients(np.diff(time, prepend=time[:1]))
+        elastic, now = np.empty_like(response), np.zeros(response.shape[1])
+        internal = np.zeros((self.tau.size, response.shape[1]))
+        for i, value in enumerate(response):
+            internal *= decay[i][:, None]
+            change = (value - (1.0 - self.relaxing_fraction) * now - internal.sum(axis=0)) / instant[i]
+            internal += gain[i][:, None] * change
+            now = now + change
+            elastic[i] = now
+        return elastic
+
 
 @with_old_names(modulus="compute_relative_relaxation_modulus")
 @dataclass(frozen=True)

@@ -1,0 +1,158 @@
+"""Fits of recordings whose force is controlled: the noise is in the displacement."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calibration
+import tissue_sim as ts
+from calibration.campaign.campaign import load_campaign
+from calibration.campaign.measured import read_measured_curves
+from calibration.fit.problem import build_generalised_problem
+from calibration.fit.trust_region import minimise_from_start
+from calibration.forward.force_control import evaluate_residual_under_force_control
+from calibration.forward.simulation_cache import SimulationCache
+from calibration.statistics.sensor_noise import ForceControlNoise
+
+#: Campaigns of the short version of the study.
+CAMPAIGNS = 24
+SERIES = ts.Prony((ts.PronyTerm(0.3, 8.0), ts.PronyTerm(0.2, 0.5)))
+
+
+@pytest.fixture(scope="module")
+def creep(benchmark_module):
+    """The benchmark ``creep``."""
+    return benchmark_module("inverse.creep")
+
+
+@pytest.fixture(scope="module")
+def true(creep):
+    """Creep test without noise."""
+    return creep.simulate_creep()
+
+
+@pytest.fixture
+def campaign_file(tmp_path):
+    """Function that writes recordings and a campaign, and returns its path."""
+    def write(recordings, text):
+        for name, recording in recordings.items():
+            np.savetxt(tmp_path / f"{name}.csv", np.column_stack(
+                [recording.time, 1e3 * recording.displacement, recording.force]), delimiter=",",
+                header="time [s],displacement [mm],force [N]", comments="", fmt="%.12g")
+        path = tmp_path / "campaign.toml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def noisy(recording, noise, seed):
+    displacement = recording.displacement + noise * np.random.default_rng(seed).normal(size=recording.time.size)
+    return ts.Recording({"time": recording.time, "displacement": displacement, "force": recording.force})
+
+
+def test_the_hereditary_integral_is_inverted():
+    """The integral of the solution is the right-hand side; a step gives the creep function of one Prony term."""
+    time = np.concatenate([[0.0], np.geomspace(1e-3, 50.0, 200)])
+    response = np.random.default_rng(1).normal(size=(time.size, 2))
+    elastic = SERIES.solve_for_elastic_history(time, response)
+    history = ts.closed_form.histories.compute_internal_stress_history_over_g(np.diff(time, prepend=0.0), elastic,
+                                                                              SERIES.tau)
+    np.testing.assert_allclose((1 - SERIES.relaxing_fraction) * elastic + history @ SERIES.g, response, atol=1e-12)
+    single, fine = ts.Prony((ts.PronyTerm(0.4, 2.0),)), np.linspace(0.0, 20.0, 4001)
+    creeping = single.solve_for_elastic_history(fine, np.ones((fine.size, 1)))[:, 0]
+    np.testing.assert_allclose(creeping, (1 - 0.4 * np.exp(-fine * 0.6 / 2.0)) / 0.6, rtol=1e-6)
+
+
+def test_intervals_of_creep_tests_hold_the_truth(creep, true):
+    """The mean error stays below half a standard error, and the scatter agrees with the standard errors."""
+    found = creep.judge([creep.run_campaign(true, number, 7) for number in range(CAMPAIGNS)])
+    for name, each in found.items():
+        # 24 campaigns: 5 standard errors of the scatter, and coverage with a probability below 1e-3 of less.
+        assert 0.5 < each["scatter"] < 1.7 and abs(each["mean"]) < 1.0 and each["coverage"] >= 0.79, (name, each)
+
+
+def residuals_at_truth(creep, true, campaign_file, noise, count, moves):
+    """Whitened residuals, (count, n), and errors of one linear step over their standard errors, (count, 3)."""
+    curves = read_measured_curves(load_campaign(campaign_file({"creep": true}, creep.CAMPAIGN.format(control="force"))))
+    curve = curves["lubricated_compression"][0]
+    problem = creep.OrdinaryLeastSquaresEstimator(
+        load_campaign(curve.file.with_name("campaign.toml")), curves, SimulationCache()).build_law_problem(creep.LAW)
+    theta = np.array([creep.TRUTH[name] for name in problem.space.free])
+    residuals, scores = [], []
+    for seed in range(count):
+        mine = replace(curve, displacement=noisy(true, noise, seed).displacement,
+                       noise=replace(curve.noise, deviation=1.0), force_control=ForceControlNoise(noise, 1e-6))
+        test = replace(problem.tests[0], measured=(mine,))
+        residual, rates, _ = evaluate_residual_under_force_control(
+            test, test.solve(problem.space, theta, problem.solves), 0, 0.0, 0.0, moves)
+        rates = rates[:, :theta.size]
+        covariance = np.linalg.inv(rates.T @ rates)
+        residuals.append(residual)
+        scores.append(-covariance @ rates.T @ residual / np.sqrt(np.diag(covariance)))
+    return np.array(residuals), np.array(scores)
+
+
+def test_residuals_are_the_noise_of_the_displacement(creep, true, campaign_file):
+    """At the true parameters the whitened residuals equal the noise; without the Newton step the estimate is biased."""
+    residuals, scores = residuals_at_truth(creep, true, campaign_file, 5e-5, 60, True)
+    noise = np.array([noisy(true, 5e-5, seed).displacement - true.displacement for seed in range(60)]) / 5e-5
+    np.testing.assert_allclose(residuals, noise, atol=0.05)
+    assert np.abs(scores.mean(axis=0)).max() < 0.4 and scores.std(axis=0) == pytest.approx(np.ones(3), abs=0.3)
+    _, scores = residuals_at_truth(creep, true, campaign_file, 5e-5, 20, False)
+    assert np.abs(scores.mean(axis=0)).max() > 1.5
+
+
+ELASTIC = """
+[[specimen]]
+name = "gel"
+radius_mm = 20.0
+height_mm = 20.0
+[[test]]
+kind = "lubricated_compression"
+specimen = "gel"
+recordings = ["ramp.csv"]
+{test}
+[fit]
+method = "{method}"
+laws = ["neo_hooke"]
+{fit}
+[noise]
+displacement_mm = 0.01
+force_N = 1e-6
+{noise}
+"""
+
+
+def test_an_elastic_ramp_of_the_force_equals_least_squares_on_the_displacement(campaign_file):
+    """The fit equals a separate fit of the displacement at the measured force, with its standard error."""
+    from scipy.optimize import brentq, least_squares
+
+    force, area = np.linspace(0.0, 6.0, 201), np.pi * 0.02**2
+
+    def displacements(C10):
+        return np.array([0.02 * (1 - brentq(lambda x, f: 2 * C10 * (1 / x**2 - x) * area - f, 0.2, 1.1, (f,)))
+                         for f in force])
+
+    exact = ts.Recording({"time": 0.05 * np.arange(201), "displacement": displacements(5e3), "force": force})
+    path = campaign_file({"ramp": noisy(exact, 1e-5, 3)}, ELASTIC.format(test='control = "force"', method="analytical",
+                                                                       fit="", noise=""))
+    fit = calibration.calibrate([path], path.parent / "out")[0].fits[0]
+    recorded = noisy(exact, 1e-5, 3).displacement
+    apart = least_squares(lambda x: (displacements(1e3 * x[0]) - recorded) / 1e-5, [5.5], x_scale=0.1, xtol=1e-12)
+    assert fit.parameters["C10"] == pytest.approx(1e3 * apart.x[0], rel=1e-5)
+    error = 1e3 / float(np.linalg.norm(apart.jac))
+    assert fit.standard_errors["C10"] == pytest.approx(error, rel=0.03)
+
+
+def test_finite_elements_find_the_parameters_of_a_creep_test(creep, true, campaign_file):
+    """The residuals of the inverse fit are white, and its estimate is within 1 % of the truth."""
+    text = creep.CAMPAIGN.format(control="force").replace("analytical", "inverse_fem")
+    text += "[noise]\ncontact_jitter_mm = 0.002\nzero_jitter_N = 0.001\n"
+    campaign = load_campaign(campaign_file({"creep": noisy(true, 5e-6, 1)}, text))
+    problem = build_generalised_problem(creep.LAW, campaign, read_measured_curves(campaign), SimulationCache())
+    truth = np.array([creep.TRUTH[name] for name in problem.space.free])
+    found = minimise_from_start(problem, 1.1 * truth, start=1)
+    assert np.sqrt(np.mean(problem.evaluate(found.theta).residual**2)) == pytest.approx(1.0, abs=0.08)
+    np.testing.assert_allclose(found.theta, truth, rtol=0.01)
