@@ -118,6 +118,10 @@ class ModulusTest:
             raise InfeasibleError(f"{self.name}: the {self.modulus} of the model is not positive")
         return np.log(part)
 
+    def remove_memory(self, answer: ModulusParameters, recording: int, columns: np.ndarray) -> np.ndarray:
+        """Return the columns unchanged: a modulus over frequency has no displacement; see `ForwardTest`."""
+        return columns
+
     def list_finite_difference_parameters(self, answer: ModulusParameters) -> frozenset[str]:
         """Return the names of the free parameters, whose derivatives are finite differences."""
         return frozenset(answer.space.free)
