@@ -18,6 +18,7 @@ from scipy.optimize import least_squares
 from calibration.fit.fit import AlternativeMinimum, DescentEvaluation, Minimum
 from calibration.fit.problem import GeneralisedProblem, LeastSquaresProblem, ProblemEvaluation
 from calibration.forward.contract import InfeasibleError
+from calibration.forward.modulus import ModulusTest
 from tissue_sim.laws import Law
 
 if TYPE_CHECKING:
@@ -447,9 +448,9 @@ def _scale_moduli_by_best_factor(problem: LeastSquaresProblem, theta: np.ndarray
     space = problem.space
     moduli = np.array([each.is_modulus for each in space.free_parameters])
     fixed = any(space.get_parameter_by_name(name).is_modulus for name in space.fixed)
+    is_logarithmic = all(isinstance(test, ModulusTest) for test in problem.tests)
     if (fixed or not moduli.any() or not space.has_only_shared_material_parameters
-            or not all(test.is_force_proportional_to_moduli
-                       for test in problem.tests)):
+            or not (is_logarithmic or all(test.is_force_proportional_to_moduli for test in problem.tests))):
         return theta
     # Offsets and zeros stay 0: far from the minimum they would compensate a wrong factor.
     residual, rates = cast(GeneralisedProblem, problem).linearise_without_nuisances(theta)
@@ -457,7 +458,8 @@ def _scale_moduli_by_best_factor(problem: LeastSquaresProblem, theta: np.ndarray
     direction = rates[:, moduli] @ theta[moduli]
     if not direction @ direction > 0:
         return theta
-    factor = 1.0 - float(direction @ residual) / float(direction @ direction)
+    change = -float(direction @ residual) / float(direction @ direction)
+    factor = float(np.exp(change)) if is_logarithmic else 1.0 + change
     scaled = theta.copy()
     scaled[moduli] *= factor
     if factor <= 0 or (scaled < space.low).any() or (scaled > space.high).any():

@@ -6,9 +6,12 @@ that replicates have equal options.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
+
+import numpy as np
 
 from calibration.importing.imported import (
     CampaignLine,
@@ -27,8 +30,10 @@ from tissue_sim.recording.contact import (
 )
 from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
 from tissue_sim.recording.formats.guesses import FileInterpretation, TableGroup
+from tissue_sim.recording.formats.modulus_tables import has_moduli
 from tissue_sim.recording.formats.sizes import SizeOrSpeedInMillimetres, find_sizes_and_speed_in_mm
-from tissue_sim.recording.recording import MIN_POINTS
+from tissue_sim.recording.moduli import add_storage_and_loss_modulus
+from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.screening import ControlledQuantityFindings
 from tissue_sim.recording.segments import get_positive_motion_load_and_units
 from tissue_sim.settings import make_shallow_read_only_copy
@@ -39,6 +44,8 @@ from tissue_sim.specimen.specimen import get_size_declarations_of_shape
 _OFFSET_BOUNDS = 3.0
 #: Smallest and largest relaxed fraction of the stiffness at the start of a fit.
 _FRACTIONS = (0.1, 0.9)
+#: Largest number of Prony terms at the start of a fit to tables of moduli.
+_MOST_START_TERMS = 5
 
 
 def make_outlier_leave_out_lines(parts: Sequence[ReplicateFile]) -> list[CampaignLine]:
@@ -157,6 +164,27 @@ def make_prony_term_start_lines(tests: Sequence[ImportedTest]) -> list[CampaignL
                     reason = control.sentence.partition("; state")[0]
                     return [CampaignLine("start", start, f"{test.name}: {reason}")]
     return []
+
+
+def make_start_lines_of_moduli(tables: Sequence[Recording]) -> list[CampaignLine]:
+    """Return the line ``start`` of ``[fit]`` with Prony terms for tables of moduli, one term for each decade or so.
+
+    The relaxation times are evenly spaced, on a logarithmic axis, between the inverses of the angular frequencies. The
+    fractions are equal, and their sum is that of the decrease of the storage modulus.
+    """
+    frequency = np.concatenate([table.channel("frequency") for table in tables])
+    storage = [add_storage_and_loss_modulus(table).channel("storage modulus") for table in tables]
+    low, high = float(frequency.min()), float(frequency.max())
+    count = int(np.clip(round(math.log10(high / low)), 1, _MOST_START_TERMS))
+    edges = np.geomspace(1.0 / (2.0 * np.pi * high), 1.0 / (2.0 * np.pi * low), 2 * count + 1)
+    lowest, highest = _FRACTIONS
+    lost = min(max(1.0 - float(np.mean([each.min() / each.max() for each in storage])), lowest), highest)
+    start: dict[str, float] = {}
+    for i, time in enumerate(edges[1::2]):
+        start[f"viscoelastic.terms[{i}].g"] = float(f"{lost / count:.2g}")
+        start[f"viscoelastic.terms[{i}].tau_s"] = float(f"{time:.2g}")
+    return [CampaignLine("start", start, f"relaxation times within 1 / omega of {low:.3g} to {high:.3g} Hz; add or "
+                         "remove terms")]
 
 
 def needs_viscoelasticity(control: ControlledQuantityFindings) -> bool:
@@ -372,13 +400,19 @@ def make_fit_lines_and_missing(tests: Sequence[ImportedTest], wishes: ImportOpti
     """
     kinds = [KINDS[test.kind] for test in tests if test.kind]
     missing: list[str] = []
+    tables = [recording for test in tests for part in test.parts for recording in part.reading.recordings
+              if has_moduli(part.reading)]
     closed = all(kind.closed_form is not None for kind in kinds)
-    method = "analytical" if closed else "inverse_fem"
+    method = "analytical" if closed and not tables else "inverse_fem"
     why = ("every test has a closed form" if closed else
            f"{next(kind.name for kind in kinds if kind.closed_form is None)} has no closed form")
+    if closed and tables:
+        why = "weights moduli by their noise; every test has a closed form"
+    only_tables = all(has_moduli(part.reading) for test in tests for part in test.parts)
+    laws, reason = (("neo_hooke",), "moduli at one strain determine one modulus") if only_tables else \
+        (DEFAULT_LAWS[method], "of two parameters at most")
     lines = [CampaignLine("method", method, why),
-             CampaignLine("laws", list(wishes.laws or DEFAULT_LAWS[method]),
-                          "stated" if wishes.laws else "of two parameters at most")]
+             CampaignLine("laws", list(wishes.laws or laws), "stated" if wishes.laws else reason)]
     if any(kind.has_lateral_wall for kind in kinds):
         lines.append(CampaignLine("bulk_ratio", None, "K / mu0; the test measures K + 4/3 mu0 only"))
         missing.append("the ratio K / mu0 of the specimen in confined compression (fit.bulk_ratio, or bulk.K_Pa in "
@@ -386,4 +420,5 @@ def make_fit_lines_and_missing(tests: Sequence[ImportedTest], wishes: ImportOpti
     elif not closed:
         lines.append(CampaignLine("bulk_ratio", _BULK_RATIO,
                                   "K / mu0; gels and soft tissues hardly change their volume"))
-    return [*lines, *make_contact_offset_lines(tests, bounded=closed), *make_prony_term_start_lines(tests)], missing
+    return [*lines, *make_contact_offset_lines(tests, bounded=closed), *(
+        make_start_lines_of_moduli(tables) if tables else make_prony_term_start_lines(tests))], missing

@@ -156,7 +156,7 @@ def format_campaign(tests: Sequence[ImportedTest], specimens: Mapping[str, Seque
         folder: folder of the campaign; the paths of the recordings are relative to this folder.
         questions: open questions; a campaign with a question is refused.
     """
-    count = sum(len(part.motions) for test in tests for part in test.parts)
+    count = sum(len(part.reading.recordings) for test in tests for part in test.parts)
     parts = [f"# Written by tissue-sim import from {format_count(count, 'recording')}. "
              "The comments give the reasons of the lines;\n# correct lines that are wrong."]
     parts += filter(None, [format_campaign_comment(tests)])

@@ -52,6 +52,7 @@ from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.files import ZIP_MAGIC, read_bytes, read_first_bytes_or_empty, write_bytes, write_text
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.formats.guesses import FileInterpretation, KindGuess, TableGroup
+from tissue_sim.recording.formats.modulus_tables import has_moduli
 from tissue_sim.recording.formats.sizes import SizeOrSpeedInMillimetres, make_size_signature
 from tissue_sim.recording.formats.understanding import interpret_file
 from tissue_sim.recording.recording import SIZE_DEPENDENT
@@ -208,6 +209,8 @@ def have_same_speed_and_travel(first: ReplicateFile, second: ReplicateFile) -> b
     """
     kind = KINDS[first.reading.kind.kind] if first.reading.kind.kind else None
     pairs = []
+    if not first.motions or not second.motions:
+        return True
     a, b = first.motions[0], second.motions[0]
     if a.speed and b.speed:
         pairs.append((a.speed, b.speed))
@@ -223,7 +226,7 @@ def _describe_replicates(cluster: Sequence[ReplicateFile], clusters: int) -> str
         cluster: files with equal motions.
         clusters: number of clusters with the same name.
     """
-    replicates = sum(len(part.motions) for part in cluster)
+    replicates = sum(len(part.reading.recordings) for part in cluster)
     apart = "; files of the same name that move otherwise are tests of their own" if clusters > 1 else ""
     if len(cluster) > 1:
         return (f"replicates: {len(cluster)} files whose names differ in their number only, alike in columns and "
@@ -274,7 +277,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
         [copy_with_question_on_contradicting_sizes(copy_interpretation_with_size_assumptions(each, wishes), wishes)
          for each in _interpret_files(paths, wishes)])
     controlled = wishes.test.get("control")
-    parts = [ReplicateFile(each, reading, tuple(
+    parts = [ReplicateFile(each, reading, () if has_moduli(reading) else tuple(
         analyse_recorded_motion(recording, reading.kind.kind, controlled, reading.channels_without_unit)
         for recording in reading.recordings))
              for each in understood for reading in each.readings]
@@ -396,6 +399,8 @@ def _interpret_and_correct_load_at_zero(parts: Sequence[ReplicateFile], wishes: 
 
     The second value is None if the load is zero at zero displacement.
     """
+    if has_moduli(parts[0].reading):
+        return tuple(parts), None
     sizes = {key: size.value for key, size in get_specimen_sizes_by_priority(parts[0].reading, wishes).items()}
     laws = select_laws_linear_in_parameters_or_neo_hooke(wishes.laws or DEFAULT_LAWS["analytical"])
     return interpret_and_correct_load_at_zero(parts, sizes, laws, wishes.zero)

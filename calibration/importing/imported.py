@@ -22,6 +22,7 @@ from tissue_sim.recording.formats.interpretation import get_command_line_channel
 from tissue_sim.recording.formats.pairing import uses_gauge_length
 from tissue_sim.recording.formats.vocabulary import MACHINES
 from tissue_sim.recording.measures import ENGINEERING, MEASURES
+from tissue_sim.recording.recording import Recording
 from tissue_sim.settings import make_shallow_read_only_copy
 
 __getattr__ = make_getattr_for_old_names(__name__, {"Wishes": "ImportOptions", "Imported": "ImportResult"})
@@ -208,7 +209,10 @@ def _make_file_entry(understanding: FileInterpretation, imported: ImportResult) 
     """Return the dictionary that describes a file under the key ``files`` of `make_json_dictionary_of_import`."""
     parts = [part for test in imported.tests for part in test.parts if part.understanding is understanding]
     recordings = [_make_recording_entry(motion, recording.name or part.reading.name, len(recording))
-                  for part in parts for motion, recording in zip(part.motions, part.reading.recordings, strict=True)]
+                  for part in parts if part.motions
+                  for motion, recording in zip(part.motions, part.reading.recordings, strict=True)]
+    recordings += [_make_modulus_table_entry(recording, recording.name or part.reading.name)
+                   for part in parts if not part.motions for recording in part.reading.recordings]
     first = recordings[0]
     return {"file": str(understanding.file), "format": understanding.format, "delimiter": understanding.delimiter,
             "decimal_mark": understanding.decimal_mark, "encoding": understanding.encoding,
@@ -221,6 +225,14 @@ def _make_file_entry(understanding: FileInterpretation, imported: ImportResult) 
             "recordings": recordings,
             "warnings": [*understanding.warnings, *(remark for part in parts for remark in part.reading.remarks),
                          *(warning for part in parts for motion in part.motions for warning in motion.warnings)]}
+
+
+def _make_modulus_table_entry(recording: Recording, name: str) -> dict[str, Any]:
+    """Return the dictionary that describes a table of moduli under ``recordings``, without entries about a motion."""
+    frequency = recording.channel("frequency")
+    empty = dict.fromkeys(("rate_Hz", "duration_s", "contact_mm", "contact_interval_mm", "contact", "failure"))
+    return {"name": name, "points": len(recording), **empty, "segments": [], "cycles": 0,
+            "frequency_Hz": [float(frequency.min()), float(frequency.max())]}
 
 
 def _make_recording_entry(motion: RecordedMotion, name: str, points: int) -> dict[str, Any]:

@@ -11,6 +11,9 @@ from calibration.importing.campaign_text import format_shortened_table_lines
 from calibration.importing.imported import ImportedTest, ImportResult
 from calibration.report.drawing import COLOURS, STYLE, create_figure, make_thinning_slice
 from calibration.report.png import render_png
+from tissue_sim.experiment.kinds.kind import MODULI
+from tissue_sim.recording.formats.modulus_tables import has_moduli
+from tissue_sim.recording.moduli import add_storage_and_loss_modulus
 from tissue_sim.recording.recording import LOADS, Recording
 from tissue_sim.recording.screening import Screening
 
@@ -80,6 +83,9 @@ def _draw_assumption_table(axes, lines: Sequence[str]) -> None:
 def _draw_test_motion_and_load_in_two_axes(left, right, test: ImportedTest) -> None:
     """Draw the recordings of a test: motion over time in the left axes, load over motion in the right axes."""
     number = 0
+    if has_moduli(test.parts[0].reading):
+        _draw_moduli_over_frequency(left, right, test)
+        return
     for part in test.parts:
         raw = part.reading.channels_without_unit
         for recording, motion in zip(part.reading.recordings, part.motions, strict=True):
@@ -107,6 +113,18 @@ def _draw_test_motion_and_load_in_two_axes(left, right, test: ImportedTest) -> N
     more = f"and {number - _SETTINGS.most_names} more" if number > _SETTINGS.most_names else None
     if number > 1 or any(motion.failure or motion.kept is not None for part in test.parts for motion in part.motions):
         right.legend(fontsize=7, title=more, title_fontsize=7)
+
+
+def _draw_moduli_over_frequency(left, right, test: ImportedTest) -> None:
+    """Draw the storage modulus in the left axes and the loss modulus in the right axes, with logarithmic axes."""
+    recordings = [recording for part in test.parts for recording in part.reading.recordings]
+    for number, recording in enumerate(map(add_storage_and_loss_modulus, recordings)):
+        for axes, channel in zip((left, right), MODULI, strict=True):
+            axes.plot(recording.channel("frequency"), 1e-3 * recording.channel(channel), "o", ms=3,
+                      color=COLOURS[number % len(COLOURS)])
+            axes.set(xscale="log", yscale="log", xlabel="frequency, Hz", ylabel=f"{channel}, kPa")
+    kind = test.kind.replace("_", " ") if test.kind else "kind not known"
+    left.set_title(f"{test.name}: {kind}", loc="left", fontsize=10)
 
 
 def _convert_to_plotted_unit(recording: Recording, channel: str, raw: frozenset[str]) -> np.ndarray:

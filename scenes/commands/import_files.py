@@ -259,6 +259,12 @@ def print_import_result(imported: ImportResult, console: Console) -> None:
                       "-" if motion.rate is None else f"{motion.rate:.3g}", _format_largest_channel_value(part, motion),
                       _format_contact_displacement_interval(motion), str(motion.loading_cycle_count),
                       ", ".join(_list_segment_names_or_counts(motion)))
+    tables = [(test.name, part, recording) for test in imported.tests for part in test.parts
+              if not part.motions for recording in part.reading.recordings]
+    for name, table, recording in tables:
+        frequency = recording.channel("frequency")
+        files.add_row(table.file.name, _describe_file_format(table), name, str(len(recording)), "-",
+                      f"{frequency.min():.3g} to {frequency.max():.3g} Hz", "-", "-", "moduli over frequency")
     console.print(files)
     if len(rows) > TABLES.max_recordings:
         print_sentence(console, f"and {len(rows) - TABLES.max_recordings} more recordings")

@@ -165,14 +165,14 @@ def test_a_speed_in_the_file_counts_too(tmp_path):
 
 
 @pytest.mark.parametrize(("title", "header"), [
-    ("Frequency sweep, strain 1 %", "Frequency (Hz),Storage modulus (Pa),Loss modulus (Pa),Oscillation strain (%)"),
+    ("Sweep at 1 Hz, strain 1 %", "Frequency (Hz),Storage modulus (Pa),Loss modulus (Pa),Oscillation strain (%)"),
     ("Amplitude sweep", "Oscillation strain (%),Storage modulus (Pa),Oscillation stress (Pa),Tan delta"),
     ("", "f (Hz),G' (Pa),G'' (Pa),|G*| (Pa)"), ("", "Frequenz (Hz),Speichermodul (Pa),Verlustmodul (Pa),Kraft (N)"),
     ("", "Frequency (Hz),Strain amplitude (%),Stress amplitude (Pa),Temperature (degC)")])
 @pytest.mark.parametrize("kind", [None, "simple_shear"])
-def test_moduli_over_frequency_or_amplitude_are_refused(tmp_path, title, header, kind):
+def test_moduli_over_amplitude_or_at_one_frequency_are_refused(tmp_path, title, header, kind):
     path = write(tmp_path, header, *np.full((4, 9), 1.0), above=f"{title}\n\n")
-    with pytest.raises(ts.InputError, match="moduli over frequency or amplitude are not a recording of a motion"):
+    with pytest.raises(ts.InputError, match="moduli over amplitude, or at fewer than 5 frequencies, are not a"):
         load(path, kind=kind)
 
 

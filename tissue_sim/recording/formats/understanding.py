@@ -3,12 +3,11 @@
 Each result is an assumption with a reason and an option of `tissue_sim.read_recordings`, which the user can correct.
 All missing information is reported in one message.
 
-Tables of dynamic moduli over frequency, amplitude or temperature (rheometer, DMA) are left out.
+Tables of dynamic moduli: see `tissue_sim.recording.formats.modulus_tables`.
 """
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -49,6 +48,7 @@ from tissue_sim.recording.formats.materials import (
     add_material_question_if_titles_differ,
     split_table_group_by_material_and_size,
 )
+from tissue_sim.recording.formats.modulus_tables import split_off_modulus_tables
 from tissue_sim.recording.formats.number_text import is_number_with_either_mark, split_number_and_unit
 from tissue_sim.recording.formats.pairing import (
     RecordingColumns,
@@ -171,37 +171,6 @@ def _describe_first_unreadable_cell_or_empty(numbers: NumberTable, position: int
     return f"line {row.line}: {f'{name!r} holds ' if name else ''}{row.cells[position][:40]!r}, {fault}"
 
 
-#: Pattern of headers of dynamic moduli and of the loss factor, lower case, without unit: G', G'', E', |G*|, tan delta.
-_MODULUS = re.compile(
-    r"\b(storage|loss|complex|dynamic|elastic shear|viscous) modul(us|i)\b|\bspeichermodul\w*|"
-    r"\bverlust(modul|faktor)\w*|\bmodule (de |d )?(conservation|stockage|perte|complexe)\b|"
-    r"\btan ?\(?(delta|δ)\)?|\bloss factor\b|\bcomplex viscosity\b|"
-    r"\bkomplexe\w* (modul|viskosität|schubmodul)\b|^\|?[ge]\*\|?(?!\w)|^[ge] ?['′’´`]{1,2}(?!\w)|^[ge] ?[\"″”](?!\w)|"
-    r"^[ge][ _](double )?prime\b|^[ge]p{1,2}(?!\w)")
-#: Pattern of headers of the quantity over which the moduli are measured.
-_SWEPT = re.compile(r"\b(angular )?frequenc(y|ies)\b|\b(kreis)?frequenz\b|\bfréquence\b|\bomega\b|^ω|^f(req)?(?!\w)|"
-                    r"\bamplitude\w*|\boscillation (strain|stress)\b|\bscher(dehnungs)?amplitude\w*|\bstrain amp\w*")
-
-
-def is_frequency_or_amplitude_sweep(headers: Sequence[str]) -> bool:
-    """Return whether the headers of a table are those of moduli over frequency or amplitude.
-
-    Such a table has two dynamic moduli, or one modulus and the quantity over which the modulus is measured.
-    """
-    names = [" ".join(header.casefold().replace("_", " ").split()) for header in headers]
-    moduli = sum(bool(_MODULUS.search(name)) for name in names)
-    swept = sum(bool(_SWEPT.search(name)) for name in names)
-    amplitudes = sum("amplitude" in name or "oscillation" in name for name in names)
-    return moduli >= 2 or (moduli >= 1 and swept >= 1) or swept > amplitudes > 0
-
-
-def explain_refused_sweep(headers: Sequence[str]) -> str:
-    """Return the reason why a table of a sweep is not imported, in one sentence."""
-    named = ", ".join(repr(header) for header in headers if header)
-    return (f"moduli over frequency or amplitude are not a recording of a motion (columns {named}); give displacement "
-            "and force, or strain and stress, against time")
-
-
 #: Number of rows of a table that determine the decimal mark of the lines above and below the table.
 _MARKED_ROWS = 2000
 #: Channels whose headers may begin with the name of the specimen.
@@ -225,10 +194,14 @@ def interpret_file(path: str | Path, hints: InterpretationOverrides | None = Non
         raise InputError("holds no table of numbers in columns; expected rows of numbers below a header", file=path)
     words = "\n".join(text for numbers in found[:8] for text in _list_text_of_rows_above_and_header(numbers))
     machine = MACHINES.get(hints.format or "") or (None if hints.format == "table" else identify_machine(words))
-    found, warnings = _remove_sweeps(found, path)
+    titles = make_hints_from_file_top_and_text_sheets(source, found)
+    found, moduli, warnings = split_off_modulus_tables(source, found, hints, titles)
+    if not found:
+        return FileInterpretation(path, machine.name if machine else "table", source.kind, source.tables[0].delimiter,
+                                  None, source.encoding, _make_table_group_names_unique(moduli) if len(moduli) > 1
+                                  else tuple(moduli), warnings, (make_machine_assumption(machine, hints),))
     tables = [group for numbers in found
               for group in find_recording_columns(numbers, machine, hints, _find_statements(numbers, hints))]
-    titles = make_hints_from_file_top_and_text_sheets(source, found)
     if not tables:
         kind = guess_kind((), (), [*make_hints_from_text_above_and_sheet_name(found[0]), *titles], machine, hints.kind)
         if kind.refused is not None:
@@ -241,7 +214,7 @@ def interpret_file(path: str | Path, hints: InterpretationOverrides | None = Non
         parts = [_interpret_tables_with_equal_columns(
             source, same, hints, machine, titles, _list_unused_headers(same[0].numbers, tables)) for same in together]
         readings, refused = _split_off_unregistered_tests([one for several, _ in parts for one in several], hints)
-        readings = add_material_question_if_titles_differ(readings, together, hints)
+        readings = (*add_material_question_if_titles_differ(readings, together, hints), *moduli)
     every = [marks for _, marks in parts]
     marks = next((each for each in every if each.is_open), next((each for each in every if each.thousands), every[0]))
     if len(readings) > 1:
@@ -250,20 +223,6 @@ def interpret_file(path: str | Path, hints: InterpretationOverrides | None = Non
                               marks.decimal if source.kind == "text" else None, source.encoding, readings,
                               (*warnings, *refused, *_make_warnings_of_sheets_without_recording(source, readings)),
                               (make_machine_assumption(machine, hints), *marks.list_assumptions()))
-
-
-def _remove_sweeps(found: Sequence[NumberTable], path: Path) -> tuple[list[NumberTable], tuple[str, ...]]:
-    """Return the tables that do not have moduli over frequency or amplitude, and a sentence about the omitted tables.
-
-    Raises:
-        InputError: all tables hold moduli.
-    """
-    headers = [[numbers.get_column_header(position) for position in numbers.columns] for numbers in found]
-    sweeps = [names for names in headers if is_frequency_or_amplitude_sweep(names)]
-    if len(sweeps) == len(found):
-        raise InputError(explain_refused_sweep(sweeps[0]), file=path, line=found[0].rows[0].line)
-    kept = [numbers for numbers, names in zip(found, headers, strict=True) if names not in sweeps]
-    return kept, tuple(f"a table is omitted: {explain_refused_sweep(names)}" for names in sweeps[:1])
 
 
 def _split_off_unregistered_tests(readings: Sequence[TableGroup], hints: InterpretationOverrides

@@ -1,0 +1,108 @@
+"""Tables of storage and loss modulus of a rheometer or DMA are read, and give a campaign that calibrates."""
+
+import json
+
+import numpy as np
+import pytest
+
+import calibration
+import tissue_sim as ts
+from calibration import ImportOptions, InterpretationOverrides
+from scenes.cli import main
+
+GEL = ts.Material("neo_hooke", {"C10": 1000.0}, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 0.02),
+                                                                      ts.PronyTerm(0.25, 0.5))))
+FREQUENCY = np.geomspace(0.05, 20.0, 21)
+OMEGA = 2 * np.pi * FREQUENCY
+G = ts.complex_modulus(GEL, FREQUENCY, "simple_shear")
+TAN = G.imag / G.real
+
+
+def write(folder, header, *columns, above="", name="a.csv", mark=","):
+    rows = "".join(mark.join(f"{value:.9g}" for value in row) + "\n" for row in zip(*columns, strict=True))
+    path = folder / name
+    path.write_text(f"{above}{header}\n{rows}", encoding="utf-8")
+    return path
+
+
+def load(path, **stated):
+    return calibration.import_files([path], path.with_suffix(".toml"), ImportOptions(InterpretationOverrides(**stated)),
+                                    overwrite=True)
+
+
+#: Name -> title, header, columns, kind.
+TABLES = {
+    "hertz": ("", "Frequency (Hz),Storage modulus G' (Pa),Loss modulus G'' (kPa)", (FREQUENCY, G.real, G.imag / 1e3),
+              "simple_shear"),
+    "angular": ("", "Angular frequency (rad/s),G' (Pa),G'' (Pa)", (OMEGA, G.real, G.imag), "simple_shear"),
+    "omega without unit": ("", "omega,G' [Pa],G\" [Pa]", (OMEGA, G.real, G.imag), "simple_shear"),
+    "1/s": ("", "Kreisfrequenz [1/s];Speichermodul [Pa];Verlustmodul [Pa];Temperatur [°C]",
+            (OMEGA, G.real, G.imag, 20 + 0 * OMEGA), "simple_shear"),
+    "underscores": ("", "f_Hz,G_prime_Pa,G_double_prime_Pa", (FREQUENCY, G.real, G.imag), "simple_shear"),
+    "loss factor": ("", "f (Hz),G' (Pa),tan delta", (FREQUENCY, G.real, TAN), "simple_shear"),
+    "absolute value": ("", "Frequency (mHz),|G*| (Pa),tan(δ)", (1e3 * FREQUENCY, np.abs(G), TAN), "simple_shear"),
+    "French": ("", "Fréquence (Hz);Module de conservation (kPa);Module de perte (kPa)",
+               (FREQUENCY, 3e-3 * G.real, 3e-3 * G.imag), "stated"),
+    "tension": ("", "Frequency (Hz),E' (MPa),E'' (MPa)", (FREQUENCY, 3e-6 * G.real, 3e-6 * G.imag), "uniaxial_tension"),
+    "compression": ("Compression DMA\n\n", "Frequency (Hz),E' (kPa),E'' (kPa)",
+                    (FREQUENCY, 3e-3 * G.real, 3e-3 * G.imag), "lubricated_compression"),
+    "torsion": ("Torsion\n", "Frequency (Hz),Storage modulus (Pa),Loss modulus (Pa)", (FREQUENCY, G.real, G.imag),
+                "torsion"),
+    "words of shear": ("Rheometer\n",
+                       "Frequency (Hz),Storage modulus (Pa),Loss modulus (Pa),Shear strain amplitude (%)",
+                       (FREQUENCY, G.real, G.imag, 1 + 0 * OMEGA), "simple_shear"),
+}
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_is_read(tmp_path, name):
+    title, header, columns, kind = TABLES[name]
+    if name == "1/s":
+        title = "Scherversuch\n"
+    if kind == "stated":
+        imported = load(write(tmp_path, header, *columns, above=title, mark=";"), kind="uniaxial_tension")
+        kind = "uniaxial_tension"
+    else:
+        imported = load(write(tmp_path, header, *columns, above=title, mark=";" if ";" in header else ","))
+    assert imported.is_complete, (imported.missing, imported.problem, imported.questions)
+    test, = imported.tests
+    assert test.kind == kind
+    curves = calibration.read_measured_curves(calibration.load_campaign(imported.output))
+    factor = 1.0 if kind in ("simple_shear", "torsion") else 3.0
+    for modulus, expected in (("storage modulus", G.real), ("loss modulus", G.imag)):
+        curve, = curves[f"a {modulus}"]
+        np.testing.assert_allclose(curve.displacement, FREQUENCY, rtol=1e-8)
+        np.testing.assert_allclose(np.exp(curve.force), factor * expected, rtol=1e-7)
+
+
+@pytest.mark.slow
+def test_from_file_to_material(tmp_path):
+    imported = load(write(tmp_path, "Frequency (Hz),G' (Pa),G'' (Pa)", FREQUENCY, G.real, G.imag))
+    result, = calibration.calibrate([imported.output], tmp_path / "out", overwrite=True)
+    fit = result.best
+    material = ts.load_material(tmp_path / "out" / f"{fit.law}.material.json")
+    found = ts.complex_modulus(material, FREQUENCY, "simple_shear")
+    assert np.abs(found / G - 1.0).max() < 1e-3
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "a storage modulus" in page and "a loss modulus" in page
+    rows = (tmp_path / "out" / "residuals.csv").read_text(encoding="utf-8").splitlines()
+    assert "frequency [Hz],0.05" in rows[1] and float(rows[1].split(",")[9]) == pytest.approx(G.real[0], rel=1e-6)
+
+
+def test_the_unit_that_no_header_states_is_asked_for(tmp_path):
+    imported = load(write(tmp_path, "Frequency,G' (Pa),G'' (Pa)", FREQUENCY, G.real, G.imag))
+    assert imported.missing == ("the unit of column 'Frequency' (frequency) (--unit frequency=...)",)
+
+
+def test_moduli_without_a_letter_need_a_kind(tmp_path):
+    imported = load(write(tmp_path, "Frequency (Hz),Storage modulus (Pa),Loss modulus (Pa)", FREQUENCY, G.real, G.imag))
+    assert imported.missing == ("the kind of test (--kind)",)
+
+
+def test_command_prints_the_frequencies(tmp_path, capsys):
+    path = write(tmp_path, "Frequency (Hz),G' (Pa),G'' (Pa)", FREQUENCY, G.real, G.imag)
+    assert main(["import", str(path), "-o", str(tmp_path / "c.toml")]) == 0
+    assert "0.05 to 20 Hz" in capsys.readouterr().out and (tmp_path / "c.png").stat().st_size > 1000
+    assert main(["import", str(path), "-o", str(tmp_path / "c.toml"), "--overwrite", "--json"]) == 0
+    entry, = json.loads(capsys.readouterr().out)["files"]
+    assert entry["recordings"][0]["frequency_Hz"] == pytest.approx([0.05, 20.0])
