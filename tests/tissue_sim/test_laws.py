@@ -29,7 +29,8 @@ every_law = pytest.mark.parametrize("name", sorted(PARAMETERS))
 
 
 def test_every_law_of_the_table_is_tested():
-    assert set(PARAMETERS) == set(ts.LAWS)
+    """The laws of compressible solids are tested in test_hyperfoam.py."""
+    assert set(PARAMETERS) == {name for name, law in ts.LAWS.items() if not law.is_compressible}
 
 
 @pytest.mark.parametrize(("name", "formula"), [

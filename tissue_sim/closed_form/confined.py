@@ -23,23 +23,30 @@ class ConfinedForm(ClosedForm):
     The isochoric stretches are those of uniaxial loading by s = l^(2/3), so that P = P_uniaxial(s) 2/3 l^(-1/3)
     + K (l - 1). At small strain the slope is the aggregate modulus K + 4/3 mu0. The law and the bulk modulus are
     identified together with another test; alone, the test determines the aggregate modulus. Only the isochoric stress
-    relaxes and softens. `stress`, `slope` and `stress_parameter_derivatives` are those of the isochoric part.
+    relaxes and softens. `stress`, `slope` and `stress_parameter_derivatives` are those of the isochoric part; for a
+    compressible law they are those of the whole stress.
     """
 
     needs_bulk: ClassVar[bool] = True
 
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return the isochoric part of the nominal stress without history, Pa, shape of `abscissa`."""
+        if law.is_compressible:
+            return super().stress(law, abscissa, values)
         return law.nominal_stress(abscissa**(2.0 / 3.0), values) * self._uniaxial_rate(abscissa)
 
     def slope(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return the derivative of `stress` with respect to the stretch, Pa, shape of `abscissa`."""
+        if law.is_compressible:
+            return super().slope(law, abscissa, values)
         uniaxial, rate = abscissa**(2.0 / 3.0), self._uniaxial_rate(abscissa)
         return law.nominal_stress_slope(uniaxial, values) * rate**2 - law.nominal_stress(
             uniaxial, values) * rate / (3.0 * abscissa)
 
     def stress_parameter_derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return the derivatives of `stress` with respect to m parameters, shape (*abscissa.shape, m)."""
+        if law.is_compressible:
+            return super().stress_parameter_derivatives(law, abscissa, values)
         derivatives = law.nominal_stress_parameter_derivatives(abscissa**(2.0 / 3.0), values)
         return derivatives * self._uniaxial_rate(abscissa)[..., None]
 
@@ -59,6 +66,8 @@ class ConfinedForm(ClosedForm):
 
         bulk_modulus = self._require_bulk_modulus(material)
         isochoric = super().stress_history(material, time, abscissa, contact_radius)
+        if material.energy_law.is_compressible:
+            return isochoric
         return isochoric + bulk_modulus * (np.asarray(abscissa, dtype=float) - 1.0)
 
     def complex_modulus(self, material: Material, frequency: np.ndarray, abscissa: float | None = None,

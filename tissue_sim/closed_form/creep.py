@@ -151,6 +151,9 @@ def compute_strain_history(mode: str, material: Material, time, nominal_stress,
     if (np.diff(time) < 0).any():
         raise InputError("must not decrease; sort the samples", field="time")
     require_homogeneous_material(material)
+    if material.energy_law.is_compressible:
+        raise InputError(f"must prescribe the deformation with the law {material.law}; got a stress. Prescribe a "
+                         "displacement, or use a law with a bulk response", field="protocol")
     state, strains = _StressState(mode, material, contact_radius, bulk_modulus), []
     now, acting = time[0], 0.0
     for later, aim in zip(time.tolist(), stress.tolist(), strict=True):

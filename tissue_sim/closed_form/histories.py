@@ -167,7 +167,8 @@ def nominal_stress_history(material: Material, time, stretch, contact_radius: fl
     """Nominal stress of a uniaxial test (lubricated compression or tension), Pa, negative in compression, shape (n,).
 
     Args:
-        material: law, Prony series, drainage and softening; the material is treated as incompressible.
+        material: law, Prony series, drainage and softening; the material is treated as incompressible unless its law is
+            compressible.
         time: s, shape (n,), not decreasing; the specimen is at rest before the first point.
         stretch: shape (n,), 1 undeformed, linear between the points.
         contact_radius: radius of the specimen, m, for the time of drainage.
@@ -205,6 +206,9 @@ def compute_stress_history(mode: str, material: Material, time, strain, contact_
     """Compute the nominal stress of a mode of `StrainHistory`; arguments as in `nominal_stress_history`."""
     history = StrainHistory(mode, time, strain)
     require_homogeneous_material(material)
+    if material.energy_law.is_compressible:
+        # A material with such a law is elastic.
+        return material.energy_law.nominal_stress(history.strain, material.values, mode)
     prony = material.make_prony_series(contact_radius)
     return history.nominal_stress(material.energy_law, material.values, prony, material.softening,
                                   material.instantaneous_over_law_modulus_ratio)

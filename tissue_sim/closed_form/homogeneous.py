@@ -1,4 +1,4 @@
-"""Homogeneous deformations: nominal stress of an incompressible material in closed form."""
+"""Homogeneous deformations: nominal stress in closed form, of an incompressible material or a compressible law."""
 
 from __future__ import annotations
 
@@ -36,6 +36,8 @@ class ClosedForm:
     needs_bulk: ClassVar[bool] = False
     #: Whether a subclass has the stress along the first abscissa of the mode of the law, with memory too.
     is_first_load_of_mode: ClassVar[bool] = False
+    #: Whether the closed form holds for a law of full stretches, whose volume may change.
+    includes_change_of_volume: ClassVar[bool] = True
 
     @property
     def has_column(self) -> bool:

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import InputError
@@ -43,8 +43,10 @@ class TorsionForm(ClosedForm):
 
     The abscissa is the shear strain at the rim, gamma = psi a. The nominal stress is 2 M / (pi a^3), the mean of the
     shear stress tau over the section with the weight of its lever arm: 4 int_0^1 tau(gamma x) x^2 dx. At small strain
-    it is mu0 gamma, as in simple shear.
+    it is mu0 gamma, as in simple shear. The volume is constant; a compressible cylinder would change its radius.
     """
+
+    includes_change_of_volume: ClassVar[bool] = False
 
     def _average(self, evaluate: Callable[[np.ndarray], np.ndarray], abscissa: np.ndarray, power: int) -> np.ndarray:
         """Return 4 int_0^1 evaluate(abscissa x) x^power dx; `evaluate` may append axes to its argument's shape."""
@@ -55,7 +57,8 @@ class TorsionForm(ClosedForm):
         return np.tensordot(4.0 * weights * points**power, np.array(values), axes=1)
 
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
-        """Return 2 M / (pi a^3), Pa, shape of `abscissa`."""
+        """Return 2 M / (pi a^3), Pa, shape of `abscissa`; raise an `InputError` for a compressible law."""
+        _require_constant_volume(law)
         return self._average(lambda shear: law.nominal_stress(shear, values, self.law_mode), abscissa, 2)
 
     def slope(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
@@ -104,6 +107,13 @@ class TorsionForm(ClosedForm):
         return motion * specimen.radius / specimen.height, 2.0 * load / (np.pi * specimen.radius**3)
 
 
+def _require_constant_volume(law: Law) -> None:
+    """Raise an `InputError` for a compressible law, whose radius is not known in advance."""
+    if law.is_compressible:
+        raise InputError(f"must be a law without volumetric response in torsion; got {law.name}. Use another law or "
+                         "test", field="law")
+
+
 #: Torsion of a cylinder at constant length.
 TORSION = TorsionForm("simple_shear", "planar", rest=0.0, label="shear strain at the rim [-]")
 
@@ -122,6 +132,9 @@ def compute_torque_and_axial_force(law: Law, values: Any, twist: Any, radius: fl
         radius: undeformed radius a, m.
         stretch: axial stretch, which the ends hold.
 
+    Raises:
+        InputError: a compressible law.
+
     Examples:
         >>> from tissue_sim.laws import find_law
         >>> torque, force = compute_torque_and_axial_force(find_law("mooney_rivlin"), {"C10": 1000.0, "C01": 500.0},
@@ -131,6 +144,7 @@ def compute_torque_and_axial_force(law: Law, values: Any, twist: Any, radius: fl
     """
     import numpy as np
 
+    _require_constant_volume(law)
     points, weights = _make_radial_rule()
     outer, twist = radius * stretch**-0.5, np.asarray(twist, dtype=float)
     r = outer * points

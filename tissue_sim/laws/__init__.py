@@ -5,8 +5,10 @@ a law by an entry point of the group ``tissue_sim.laws``, a program by `register
 """
 
 from tissue_sim.laws.arruda_boyce import ArrudaBoyce
+from tissue_sim.laws.compressible import CompressibleLaw
 from tissue_sim.laws.fung_demiray import FungDemiray
 from tissue_sim.laws.gent import Gent
+from tissue_sim.laws.hyperfoam import Hyperfoam
 from tissue_sim.laws.law import InvariantLaw, KernelEnergy, Law, ParameterRange, StretchLaw
 from tissue_sim.laws.ogden import Ogden
 from tissue_sim.laws.polynomials import Biderman, MooneyRivlin, NeoHooke, ReducedPolynomial
@@ -28,8 +30,10 @@ LAWS: Registry[Law] = Registry("law", "tissue_sim.laws", {law.name: law for law 
     ArrudaBoyce(),
     FungDemiray(),
     Ogden(1), Ogden(2), Ogden(3), Ogden(4),
-)}, accepts=lambda law: isinstance(law, Law), expected="an object of a class derived from InvariantLaw or StretchLaw",
-    aliases={"yeoh": "reduced_polynomial_3"})
+    Hyperfoam(1), Hyperfoam(2), Hyperfoam(3),
+)}, accepts=lambda law: isinstance(law, Law),
+    expected="an object of a class derived from InvariantLaw, StretchLaw or CompressibleLaw",
+    aliases={"yeoh": "reduced_polynomial_3", "hyperfoam": "hyperfoam_1"})
 
 
 def register_law(law: Law) -> Law:
@@ -56,6 +60,7 @@ def find_law(name: str) -> Law:
 
 __all__ = [
     "LAWS",
+    "CompressibleLaw",
     "InvariantLaw",
     "KernelEnergy",
     "Law",

@@ -35,8 +35,9 @@ class KernelEnergy:
 
     Attributes:
         key: name of the compiled kernel.
-        family: ``"invariants"`` (energy of I1, I2) or ``"stretches"`` (energy of one stretch, summed over three).
-        variables: symbols of the family: (I1, I2) or (stretch,).
+        family: ``"invariants"`` (energy of I1, I2), ``"stretches"`` (energy of one isochoric stretch, summed over
+            three) or ``"stretches and volume"`` (energy of one full stretch and J, summed over three).
+        variables: symbols of the family: (I1, I2), (stretch,) or (stretch, J).
         coefficients: symbols of the coefficients.
         energy: the symbolic energy.
     """
@@ -158,12 +159,15 @@ class Law:
     Attributes:
         parameter_bounds: name -> smallest and largest value of a parameter in a material, SI; parameters without an
             entry may have any value.
+        is_compressible: whether the law states the volumetric response as well, see `CompressibleLaw`. Such a material
+            has no other bulk response.
     """
 
     name: str
     title: str
     units: Mapping[str, str]
     parameter_bounds: Mapping[str, tuple[float, float]] = MappingProxyType({})
+    is_compressible: bool = False
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)
@@ -279,6 +283,16 @@ class Law:
                                         *self.convert_parameters_to_array(values))
         return np.stack(items, axis=-1).reshape(*parts[0].shape, count, -1)
 
+    def compute_principal_stretches(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
+        """Return the principal stretches of a homogeneous test, shape (..., 3).
+
+        Args:
+            stretch: prescribed stretch, shape (...); two of them: shape (..., 2).
+            values: parameters, SI.
+            mode: ``uniaxial``, ``planar``, ``equibiaxial`` or ``biaxial``.
+        """
+        return STRETCH_MODES[mode].compute_principal_stretches(stretch)
+
     def nominal_stress(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
         """First Piola-Kirchhoff stress of an incompressible solid, Pa, negative in compression.
 
@@ -342,12 +356,20 @@ class Law:
         tau = np.stack(slopes, axis=-1)
         return np.array(energy), tau - tau.mean(axis=-1, keepdims=True)
 
+    def compute_log_strain_hessian(self, stretches, values) -> np.ndarray:
+        """Return d2W/(de_i de_j) with the logarithmic strains e, Pa, shape (..., 3, 3); compressible laws only."""
+        raise TypeError(f"{type(self).__name__} does not state the energy of a change of volume")
+
+    def K0(self, values) -> float:
+        """Initial bulk modulus, Pa; infinite for a law without volumetric response."""
+        return np.inf
+
     def mu0(self, values) -> float:
         """Initial shear modulus, Pa: slope of the shear stress at rest."""
         return float(self.nominal_stress_slope(0.0, values, "simple_shear"))
 
     def E0(self, values) -> float:
-        """Initial Young's modulus of the incompressible solid, Pa; E0 = 3 mu0."""
+        """Initial Young's modulus, Pa; 3 mu0 of an incompressible solid."""
         return float(self.nominal_stress_slope(1.0, values))
 
     def formula(self) -> str:

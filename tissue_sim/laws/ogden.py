@@ -32,6 +32,23 @@ class SmallExponentSettings:
 EXPONENTS = SmallExponentSettings()
 
 
+def replace_small_exponents(exponents: np.ndarray) -> np.ndarray:
+    """Return exponents with those below `SmallExponentSettings.smallest` replaced by it, with their sign."""
+    small = np.abs(exponents) < EXPONENTS.smallest
+    return np.where(small, np.copysign(EXPONENTS.smallest, exponents), exponents)
+
+
+def describe_small_exponents(exponents: np.ndarray, limit: str) -> list[str]:
+    """Return one sentence for each exponent that is 0 within `SmallExponentSettings.limit`.
+
+    Args:
+        exponents: alpha_i, shape (terms,).
+        limit: formula of the term at the limit, in which ``{i}`` is replaced by the number of the term.
+    """
+    return [f"alpha{i} is at its limit 0, where the term is {limit.format(i=i)}"
+            for i, alpha in enumerate(exponents, start=1) if abs(alpha) < EXPONENTS.limit]
+
+
 class Ogden(StretchLaw):
     """W = sum over i = 1..N of 2 mu_i / alpha_i^2 (l1^alpha_i + l2^alpha_i + l3^alpha_i - 3); mu0 = sum of mu_i."""
 
@@ -50,16 +67,13 @@ class Ogden(StretchLaw):
     def convert_parameters_to_array(self, values) -> np.ndarray:
         """Return the values as an array; exponents below `SmallExponentSettings.smallest` are replaced by it."""
         array = np.array(super().convert_parameters_to_array(values))
-        exponents = array[1::2]
-        small = np.abs(exponents) < EXPONENTS.smallest
-        exponents[small] = np.copysign(EXPONENTS.smallest, exponents[small])
+        array[1::2] = replace_small_exponents(array[1::2])
         return array
 
     def describe_limiting_cases(self, values) -> list[str]:
         """Return one sentence for each exponent that is 0 within `SmallExponentSettings.limit`."""
-        exponents = super().convert_parameters_to_array(values)[1::2]
-        return [f"alpha{i} is at its limit 0, where the term is mu{i} (ln^2 l1 + ln^2 l2 + ln^2 l3)"
-                for i, alpha in enumerate(exponents, start=1) if abs(alpha) < EXPONENTS.limit]
+        return describe_small_exponents(super().convert_parameters_to_array(values)[1::2],
+                                        "mu{i} (ln^2 l1 + ln^2 l2 + ln^2 l3)")
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:

@@ -1,4 +1,4 @@
-"""Drucker stability of an incompressible law over a range of stretches."""
+"""Drucker stability of a law over a range of stretches."""
 
 from __future__ import annotations
 
@@ -110,6 +110,20 @@ def _is_stable_at_log_strains(law: Law, values: np.ndarray, strains: np.ndarray)
         return is_inside & (~np.isfinite(a * c) | ((a + c > 0) & (a * c - b * b > 0)))
 
 
+def _is_stable_with_change_of_volume(law: Law, values: np.ndarray, stretch: np.ndarray, mode: str) -> np.ndarray:
+    """Return whether d(tau) : d(e) > 0 for every d(e), shape (n,), for a compressible law in a mode.
+
+    A stretch without lateral equilibrium counts as unstable, a number that overflows at an equilibrium as stable.
+    """
+    stretches = law.compute_principal_stretches(stretch, values, mode)
+    with np.errstate(all="ignore"):
+        h = law.compute_log_strain_hessian(stretches, values)
+        scale = 1.0 / np.sqrt(np.abs(np.einsum("nii->ni", h)))
+        h = h * scale[:, :, None] * scale[:, None, :]
+        minors = np.stack([h[:, 0, 0], h[:, 0, 0] * h[:, 1, 1] - h[:, 0, 1]**2, np.linalg.det(h)], axis=-1)
+        return np.isfinite(stretches).all(axis=-1) & ((minors > 0).all(axis=-1) | ~np.isfinite(minors).all(axis=-1))
+
+
 def find_stability_range(law: Law, values, stretch_range: tuple[float, float] = STRETCH_RANGE,
                          points: int = 400) -> StabilityRange:
     """Return the range of stretches in which a law fulfils Drucker's criterion, d(tau) : d(e) > 0.
@@ -117,9 +131,11 @@ def find_stability_range(law: Law, values, stretch_range: tuple[float, float] = 
     With the Kirchhoff stress tau and the logarithmic strain e, the 2 x 2 matrix d(tau)/d(e) of an incompressible solid
     is the Hessian of W in two of the logarithmic strains; the third is minus their sum. The matrix must be positive
     definite. It is checked from stretch 1 outwards in tension and compression of each mode, and the first loss is
-    located by bisection. A law is not stable outside its domain, such as at I1 - 3 >= J_m of Gent's law.
+    located by bisection. A law is not stable outside its domain, such as at I1 - 3 >= J_m of Gent's law. For a
+    compressible law the 3 x 3 Hessian must be positive definite, at the stretches with traction-free sides.
 
-    Source: Abaqus Analysis User's Guide, "Hyperelastic behavior of rubberlike materials", Drucker stability.
+    Source: Abaqus Analysis User's Guide, "Hyperelastic behavior of rubberlike materials" and "Hyperelastic behavior in
+    elastomeric foams", Drucker stability.
 
     Args:
         law: the law.
@@ -137,6 +153,8 @@ def find_stability_range(law: Law, values, stretch_range: tuple[float, float] = 
 
     def is_stable(stretch, mode):
         """Return whether the law is stable at each stretch of a mode, shape (n,)."""
+        if law.is_compressible:
+            return _is_stable_with_change_of_volume(law, array, np.atleast_1d(stretch), mode)
         direction = STRETCH_MODES[mode].exponent_matrix[:, 0]
         return _is_stable_at_log_strains(law, array, np.multiply.outer(np.log(np.atleast_1d(stretch)), direction))
 

@@ -234,7 +234,7 @@ class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
     @property
     def material(self) -> Material:
         """Material that the file describes; the file must be read or checked, so that its parameters are in SI."""
-        return Material(self.law, get_parameter_values_by_name(self.parameters), self.bulk.make_bulk(),
+        return Material(self.law, get_parameter_values_by_name(self.parameters), self.bulk.make_bulk(self.law),
                         self.density_kg_m3, self.name,
                         **make_material_arguments_from_entries(self._component_entries_by_key))
 
@@ -348,7 +348,7 @@ def check_and_convert_material_file_to_si(file: MaterialFile) -> MaterialFile:
     for name, region in (file.regions or {}).items():
         regions[name], more = region.convert_to_si_with_factors(f"regions.{name}")
         factors |= more
-    _ = file.bulk.make_bulk()
+    _ = file.bulk.make_bulk(law.name)
     _require_ordered_valid_ranges(file)
     if file.provenance is not None and file.provenance.date is not None:
         try:

@@ -61,6 +61,8 @@ _BULK = {
     "D1_per_Pa": Declaration("D1", "1/Pa", (2e-12, 2.0), key="D1_per_Pa"),
     "bulk_ratio": Declaration("K/mu", "1", BULK_RATIOS, key="bulk_ratio"),
 }
+#: Kind of bulk response without a number -> the material that has it.
+_BULK_WITHOUT_NUMBER = {"incompressible": "an incompressible material", "of_law": "a compressible law"}
 #: Longest relaxation times after which tissue without a tool has forgotten its path, 1: 0.7 % of the stress remains.
 MEMORY_TIMES = 5.0
 #: Largest absolute value, in a fit, of an exponent or another parameter without unit for which the law has no bounds.
@@ -83,29 +85,30 @@ def compute_finite_bulk_to_shear_ratio(radius: float, height: float) -> float:
 
 @dataclass(frozen=True)
 class Bulk:
-    """Volumetric response U(J) = K/2 (J - 1)^2, stated in one of four ways.
+    """Volumetric response U(J) = K/2 (J - 1)^2, stated in one of four ways, or that of the law itself.
 
     Attributes:
-        kind: ``"K_Pa"``, ``"D1_per_Pa"`` (K = 2/D1), ``"bulk_ratio"`` (K/mu0) or ``"incompressible"``.
-        value: number in the unit of its kind; None for incompressible.
+        kind: ``"K_Pa"``, ``"D1_per_Pa"`` (K = 2/D1), ``"bulk_ratio"`` (K/mu0), ``"incompressible"``, or ``"of_law"``
+            for a compressible law, see `tissue_sim.laws.CompressibleLaw`.
+        value: number in the unit of its kind; None for incompressible and of_law.
     """
 
     kind: str = "incompressible"
     value: float | None = None
 
     def __post_init__(self):
-        if self.kind not in ("K_Pa", "D1_per_Pa", "bulk_ratio", "incompressible"):
-            raise InputError(f"unknown bulk response {self.kind!r}; known: K_Pa, D1_per_Pa, bulk_ratio, incompressible",
-                             field="bulk")
-        if self.kind == "incompressible":
+        if self.kind not in (*_BULK, *_BULK_WITHOUT_NUMBER):
+            raise InputError(f"unknown bulk response {self.kind!r}; known: "
+                             f"{', '.join((*_BULK, *_BULK_WITHOUT_NUMBER))}", field="bulk")
+        if self.kind in _BULK_WITHOUT_NUMBER:
             if self.value is not None:
-                raise InputError(f"must not be given for an incompressible material; got {self.value}.",
-                                 field="bulk.incompressible")
+                raise InputError(f"must not be given for {_BULK_WITHOUT_NUMBER[self.kind]}; got {self.value}.",
+                                 field=f"bulk.{self.kind}")
         elif self.value is None or not np.isfinite(self.value) or self.value <= 0:
             raise InputError(f"must be positive and finite; got {self.value}.", field=f"bulk.{self.kind}")
 
     def non_field_parameters(self) -> dict[str, tuple[Declaration, float]]:
-        """Return kind -> (declaration, number) of this response; empty for an incompressible material."""
+        """Return kind -> (declaration, number) of this response; empty for a response without a number."""
         return {} if self.value is None else {self.kind: (_BULK[self.kind], float(self.value))}
 
     def with_non_field_parameters(self, values: Mapping[str, float]) -> Bulk:
@@ -113,7 +116,7 @@ class Bulk:
         return Bulk(self.kind, values[self.kind])
 
     def modulus(self, mu0: float) -> float:
-        """Return the bulk modulus K, Pa, for an initial shear modulus mu0, Pa; infinite if incompressible."""
+        """Return the bulk modulus K, Pa, for an initial shear modulus mu0, Pa; infinite without a number."""
         if self.value is None:
             return np.inf
         match self.kind:
@@ -134,7 +137,7 @@ class Material:
     Attributes:
         law: name in `tissue_sim.laws.LAWS`; an alias is replaced by the name.
         parameters: name -> value, SI (Pa, or 1 for exponents); read-only after construction.
-        bulk: volumetric response; it neither relaxes nor softens.
+        bulk: volumetric response; it neither relaxes nor softens. Kind ``"of_law"`` for a compressible law, always.
         density: kg/m3; None if unknown.
         name: name in reports.
         viscoelastic: `Prony` series or `FractionalRelaxation` of the isochoric stress; its `moduli` state whether
@@ -148,7 +151,8 @@ class Material:
 
     Raises:
         InputError: unknown law or parameter, parameters whose initial shear modulus is not positive, too many relaxing
-            terms (drainage included), or relaxing fractions whose sum is 1 or more.
+            terms (drainage included), relaxing fractions whose sum is 1 or more, or a compressible law with a bulk
+            response, relaxation, softening, drainage or effects at material points.
 
     Examples:
         >>> gel = Material("neo_hooke", {"C10": 1000.0}, Bulk("bulk_ratio", 1e3))
@@ -187,6 +191,7 @@ class Material:
                            make_shallow_read_only_copy(self.energy_law.convert_parameters_to_mapping(self.parameters)))
         self.energy_law.require_values_within_bounds(self.parameters)
         object.__setattr__(self, "layers", tuple(self.layers))
+        self._require_parts_of_compressible_law()
         if not self.mu0 > 0:
             raise InputError(f"must give a positive shear modulus at rest; got {self.mu0:g} Pa.",
                              field="parameters")
@@ -199,6 +204,28 @@ class Material:
             if not self.mu_long_term > 0:
                 raise InputError("the sum of phi and the g of all viscoelastic terms must be below 1, or no stress "
                                  "remains under constant strain", field="poroelasticity.phi")
+
+    def _require_parts_of_compressible_law(self) -> None:
+        """Set the bulk response of a compressible law; raise an `InputError` for parts that such a law excludes."""
+        law = self.energy_law
+        if not law.is_compressible:
+            if self.bulk.kind == "of_law":
+                raise InputError(f"must be stated for {law.name}, which has no volumetric response; got 'of_law'. "
+                                 "State bulk_ratio, K_Pa, D1_per_Pa or incompressible", field="bulk")
+            return
+        if self.bulk.value is not None:
+            raise InputError(f"must not be given for {law.name}, whose parameters state the volumetric response; got "
+                             f"{self.bulk.kind} = {self.bulk.value:g}. Remove it", field=f"bulk.{self.bulk.kind}")
+        object.__setattr__(self, "bulk", Bulk("of_law"))
+        acting = [effect.name for effect in self.effects.values() if not isinstance(effect, ForceScalingEffect)]
+        for part in ("viscoelastic", "softening", "poroelasticity", *(f"effects.{name}" for name in acting)):
+            if part.startswith("effects.") or getattr(self, part) is not None:
+                raise InputError(f"must not be given for {law.name}: relaxation, softening, drainage and effects act "
+                                 "on the isochoric stress, which a compressible law does not separate. Remove it, or "
+                                 "use a law with a bulk response", field=part)
+        if not law.K0(self.parameters) > 0:
+            raise InputError(f"must give a positive bulk modulus at rest; got {law.K0(self.parameters):g} Pa.",
+                             field="parameters")
 
     def non_field_parameters(self) -> dict[str, tuple[Declaration, float]]:
         """Return name -> (declaration, value in SI) of the law's parameters."""
@@ -267,7 +294,7 @@ class Material:
     @property
     def bulk_modulus(self) -> float:
         """Bulk modulus K, Pa; infinite for an incompressible material."""
-        return self.bulk.modulus(self.mu0)
+        return self.energy_law.K0(self.parameters) if self.bulk.kind == "of_law" else self.bulk.modulus(self.mu0)
 
     def compute_memory_time(self, contact_radius: float | None) -> float:
         """Return the time after which unloaded tissue has relaxed, s: `MEMORY_TIMES` relaxation times.
@@ -474,7 +501,7 @@ def with_changed_or_added_parameters(material: Material, values: Mapping[str, fl
 
     made = make_material_from_numbers("neo_hooke", {"C10": 1.0},
                                       {renumber_path_after_existing_terms(path): value for path, value in new.items()},
-                                      material.bulk)
+                                      None if material.bulk.kind == "of_law" else material.bulk)
     changes: dict[str, Any] = {name: part for name in SINGLE if (part := getattr(made, name, None)) is not None}
     if made.viscoelastic is not None:
         series = material.viscoelastic or made.viscoelastic

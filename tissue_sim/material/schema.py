@@ -42,25 +42,29 @@ class ParameterEntry(MaterialFileEntry, frozen=True, kw_only=True):
 
 
 class BulkEntry(MaterialFileEntry, frozen=True, kw_only=True):
-    """Bulk response: exactly one of the four keys; see `tissue_sim.Bulk`."""
+    """Bulk response: exactly one of the keys; see `tissue_sim.Bulk`."""
 
     K_Pa: float | None = None
     D1_per_Pa: float | None = None
     bulk_ratio: float | None = None
     incompressible: bool | None = None
+    of_law: bool | None = None
 
-    def make_bulk(self) -> Bulk:
-        """Return the bulk response.
+    def make_bulk(self, law: str) -> Bulk:
+        """Return the bulk response of a material with the law of this name.
 
         Raises:
-            InputError: none, or several, of the four keys are given.
+            InputError: none, or several, of the keys are given; or incompressible with a compressible law.
         """
         stated = {kind: value for kind, value in msgspec.structs.asdict(self).items() if value is not None}
-        if len(stated) != 1 or self.incompressible is False:
-            raise InputError("expected exactly one of K_Pa, D1_per_Pa, bulk_ratio, or incompressible: true",
-                             field="bulk")
+        if len(stated) != 1 or self.incompressible is False or self.of_law is False:
+            raise InputError("expected exactly one of K_Pa, D1_per_Pa, bulk_ratio, incompressible: true, or of_law: "
+                             "true for a compressible law", field="bulk")
+        if self.incompressible and find_law(law).is_compressible:
+            raise InputError(f"must not be given for {law}, whose parameters state the volumetric response. Write "
+                             "of_law: true", field="bulk.incompressible")
         (kind, value), = stated.items()
-        return Bulk(kind, None if kind == "incompressible" else value)
+        return Bulk(kind, None if value is True else value)
 
 
 def make_law_bulk_and_parameter_entries(material: Material, errors: Mapping[str, float]) -> dict[str, Any]:
@@ -336,7 +340,7 @@ class RegionEntry(MaterialFileEntry, frozen=True, kw_only=True):
         with located_and_converted_errors(field=field):
             parts = {key: entry.make_component(key) for key in ("viscoelastic", "softening", "poroelasticity")
                      if (entry := getattr(self, key)) is not None}
-            return Material(self.law, get_parameter_values_by_name(self.parameters), self.bulk.make_bulk(),
+            return Material(self.law, get_parameter_values_by_name(self.parameters), self.bulk.make_bulk(self.law),
                             self.density_kg_m3, self.name,
                             **parts)
 

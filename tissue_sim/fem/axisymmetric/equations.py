@@ -12,7 +12,6 @@ from functools import cached_property
 
 import numpy as np
 
-from tissue_sim.errors import InputError
 from tissue_sim.experiment.contact_law import sum_attractive_tractions_at_zero_gap
 from tissue_sim.fem.axisymmetric import contact_kernels, newton
 from tissue_sim.fem.axisymmetric.array_layouts import ELEMENT_ARRAYS, STATE_ARRAYS, SURFACE_ARRAYS, TISSUE_ARRAYS
@@ -22,6 +21,7 @@ from tissue_sim.fem.axisymmetric.state import SolverState
 from tissue_sim.fem.axisymmetric.touch import bind_no_slip_points_where_they_touch
 from tissue_sim.fem.contact.laws import pack_contact_law_settings
 from tissue_sim.fem.contact.pairs import ContactPairs
+from tissue_sim.fem.elements.pressure import compute_element_bulk_modulus
 from tissue_sim.fem.history import MaterialMemory, PointEffects
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.taichi.launch import BoundKernel
@@ -29,7 +29,7 @@ from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_ar
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.trace import FormulaClassAndConstants
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.material.material import BULK_RATIOS, Material, compute_finite_bulk_to_shear_ratio
+from tissue_sim.material.material import Material
 from tissue_sim.material.viscoelasticity import Prony
 from tissue_sim.mesh import Mesh
 
@@ -139,11 +139,6 @@ class EquilibriumEquations:
         """
         energy: KernelEnergy = material.energy_law.kernel_energy
         coefficients, bulk_modulus, factor, moduli = self.compute_law_coefficients_and_moduli(material)
-        ratio = bulk_modulus / material.mu0
-        low, high = BULK_RATIOS
-        if not low <= ratio <= high:
-            raise InputError(f"K/mu0 must be {low:g} to {high:g}, for which the finite elements are verified; got "
-                             f"{ratio:g}.", field="bulk")
         self.material, self.bulk_modulus = material, bulk_modulus
         self.moduli[:] = moduli
         self.batches.set_modulus_ratios(moduli)
@@ -166,7 +161,7 @@ class EquilibriumEquations:
         self.surface.set_penalty_stiffness(PENALTY.normal * material.mu0)
         # Forces of rounding errors, per m of depth and for the coordinates of the contact points.
         height = np.ptp(self.mesh.nodes[:, 1])
-        stiff = self.bulk_modulus * float(np.linalg.norm(self.reference.rounding * self.moduli))
+        stiff = max(self.bulk_modulus, material.mu0) * float(np.linalg.norm(self.reference.rounding * self.moduli))
         self._rounding_rate = stiff + self.surface.rounding_rate * PENALTY.stick_factor
         self._coordinate_rounding = self.surface.rounding_rate * height
         # Estimate of the sag of the top per specific weight, m4/N.
@@ -181,11 +176,12 @@ class EquilibriumEquations:
         Returns:
             Coefficients of its law, bulk modulus (Pa), factor of the instantaneous modulus, and moduli of the elements
             in units of the law's modulus, shape (elements,).
+
+        Raises:
+            InputError: see `compute_element_bulk_modulus`.
         """
         radius, height = np.ptp(self.mesh.nodes, axis=0)
-        K = material.bulk_modulus
-        if np.isinf(K):
-            K = compute_finite_bulk_to_shear_ratio(radius, height) * material.mu0
+        K = compute_element_bulk_modulus(material, radius, height)
         moduli = np.ones(len(self.mesh.connectivity))
         if self._element_layers is not None:
             moduli = np.array([*(layer.ratio for layer in material.layers), 1.0])[self._element_layers]

@@ -92,10 +92,51 @@ def make_domain_margin_function():
 def make_stretch_derivatives_function(energy: KernelEnergy):
     """Return the Taichi function ``compute_stretch_derivatives(stretches, root, coefficients) -> (W, w1, w2, margin)``.
 
-    The energy is a sum over the isochoric principal stretches; root is J^(-1/3). W is the energy density, w1 (3) its
-    derivatives with respect to the principal stretches and w2 (3 x 3) the second derivatives. The margin is positive
-    inside the domain of the law.
+    The energy is a sum over the isochoric principal stretches, or over the full stretches with a function of J; root is
+    J^(-1/3). W is the energy density, w1 (3) its derivatives with respect to the principal stretches and w2 (3 x 3) the
+    second derivatives. The margin is positive inside the domain of the law.
     """
+    return (_make_full_stretch_derivatives_function if energy.family == "stretches and volume"
+            else _make_isochoric_stretch_derivatives_function)(energy)
+
+
+def _make_full_stretch_derivatives_function(energy: KernelEnergy):
+    """Return the function of `make_stretch_derivatives_function` for an energy w(l_i) + u(J)/3, summed over i."""
+    ti = get_initialised_taichi()
+    count = energy.coefficient_count
+
+    def make_derivatives_by(variable: int):
+        """Return a function of (variable, coefficients) -> first and second derivative, energy, at 1 of the other."""
+        def derive_arguments_and_expressions():
+            """Return the arguments and the expressions (sympy)."""
+            x = energy.variables[variable]
+            alone = energy.energy.subs(energy.variables[1 - variable], 1)
+            return (x, energy.coefficients), [sp.diff(alone, x), sp.diff(alone, x, 2), alone]
+
+        return make_taichi_expression_builder(derive_arguments_and_expressions,
+                                              _derivation_cache_key_or_none(energy, variable), __file__)
+
+    by_stretch, by_volume = make_derivatives_by(0), make_derivatives_by(1)
+
+    @ti.func
+    def compute_stretch_derivatives(stretches: ti.template(), root, coefficients: ti.template()):
+        J = stretches[0] * stretches[1] * stretches[2]
+        w = [[v + 0.0 * root for v in ti.static(by_stretch(stretches[k], [coefficients[m] for m in range(count)]))]
+             for k in ti.static(range(3))]
+        u = [3.0 * v + 0.0 * root for v in ti.static(by_volume(J, [coefficients[m] for m in range(count)]))]
+        # J u' and the second derivative of u with respect to ln J.
+        volume = J * u[0]
+        curvature = J * J * u[1] + volume
+        w1 = [w[k][0] + volume / stretches[k] for k in ti.static(range(3))]
+        w2 = [[(curvature - ti.static(float(i == k)) * volume) / (stretches[i] * stretches[k])
+               + ti.static(float(i == k)) * w[i][1] for k in ti.static(range(3))] for i in ti.static(range(3))]
+        return w[0][2] + w[1][2] + w[2][2] + u[2], w1, w2, 0.0 * root + 1.0
+
+    return compute_stretch_derivatives
+
+
+def _make_isochoric_stretch_derivatives_function(energy: KernelEnergy):
+    """Return the function of `make_stretch_derivatives_function` for a sum over the isochoric stretches."""
     ti = get_initialised_taichi()
     count, values = energy.coefficient_count, 3 + len(energy.domain_conditions)
     derivatives, compute_margin = make_energy_derivatives_by_stretch(energy), make_domain_margin_function()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from tissue_sim.errors import InputError
 from tissue_sim.fem.reduced.kernels import SampledElementSettingColumn, make_sampled_elements_kernel
 from tissue_sim.fem.reduced.model import SelfWeightEquilibriumFields
 from tissue_sim.fem.solid.batches import ElementBatches
@@ -169,10 +170,14 @@ class SampledElements:
             Ratio of the new to the previous shear modulus for each row of `pressures`; 1 for the first material.
 
         Raises:
-            InputError: the elements do not support the bulk ratio; the previous material stays.
+            InputError: the elements do not support the bulk ratio or the law; the previous material stays.
         """
         batches, freedoms = self._batches, 3 * self._mesh.connectivity.shape[1]
         materials = [material.regions.get(region.name, material) for region in self._regions]
+        for each in materials:
+            if each.bulk.kind == "of_law":
+                raise InputError(f"must not be {each.law}: a reduced solid has no elements without pressure. Use the "
+                                 "solver \"solid\", or a law with a bulk response", field="material.law")
         wholes = [find_finite_bulk_modulus(each, self._mesh) for each in materials]
         bulks = [min(whole, bulk_ratio * each.mu0) for whole, each in zip(wholes, materials, strict=True)]
         batches.set_modulus_ratios(get_modulus_ratios_of_layer_indices(material, self._layers))

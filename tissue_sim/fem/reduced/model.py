@@ -136,7 +136,7 @@ def require_reducible(model: Model) -> None:
 
     Raises:
         InputError: the tool is a plate or has a sharp face without friction, the base has friction, or there are
-            contact laws or point effects.
+            contact laws, point effects or a compressible law.
     """
     experiment = model.experiment
     if experiment.tool.is_plate:
@@ -151,6 +151,9 @@ def require_reducible(model: Model) -> None:
     if experiment.acting_laws:
         raise InputError("a reduced solid does not support adhesion or other contact laws. Leave them out",
                          field="contact_laws")
+    if any(each.bulk.kind == "of_law" for each in (model.material, *model.material.regions.values())):
+        raise InputError("must not have a compressible law in a reduced solid, which has no elements without pressure. "
+                         "Use the solver \"solid\", or a law with a bulk response", field="material.law")
     require_no_point_effects(model.material)
 
 

@@ -12,13 +12,14 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.errors import InputError, make_hint_with_similar_or_known_words
+from tissue_sim.fem.elements.pressure import compute_element_bulk_modulus
 from tissue_sim.fem.history import MATERIAL_ARRAYS, MaterialMemory, PointEffects, sum_effect_responses
 from tissue_sim.fem.solid.batches import ElementBatches, find_sparse_entry_indices
 from tissue_sim.fem.solid.element import ELEMENT_ARRAYS, AssemblySettingColumn, make_assembly_kernel
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.origins import allocate_array, copy_to_addressable_array
 from tissue_sim.fem.taichi.runtime import LANES, LOCK
-from tissue_sim.material.material import BULK_RATIOS, Layer, Material, compute_finite_bulk_to_shear_ratio
+from tissue_sim.material.material import Layer, Material
 from tissue_sim.material.viscoelasticity import Prony
 from tissue_sim.mesh.solid import SolidMesh
 
@@ -400,17 +401,6 @@ def compute_node_shear_moduli(material: Material, mesh: SolidMesh, layers: np.nd
 
 
 def find_finite_bulk_modulus(material: Material, mesh: SolidMesh) -> float:
-    """Return the bulk modulus of a material, Pa; an incompressible material gets a finite one that suits the mesh.
-
-    Raises:
-        InputError: a bulk ratio outside of `BULK_RATIOS`.
-    """
-    bulk = material.bulk_modulus
-    if np.isinf(bulk):
-        wide, _, high = np.ptp(mesh.nodes, axis=0).tolist()
-        bulk = compute_finite_bulk_to_shear_ratio(0.5 * wide, high) * material.mu0
-    low, most = BULK_RATIOS
-    if not low <= bulk / material.mu0 <= most:
-        raise InputError(f"K/mu0 must be {low:g} to {most:g}, for which the finite elements are verified; got "
-                         f"{bulk / material.mu0:g}.", field="bulk")
-    return bulk
+    """Return the bulk modulus of the pressure in the elements of a mesh, Pa; see `compute_element_bulk_modulus`."""
+    wide, _, high = np.ptp(mesh.nodes, axis=0).tolist()
+    return compute_element_bulk_modulus(material, 0.5 * wide, high)
