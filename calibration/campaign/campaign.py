@@ -32,6 +32,7 @@ from calibration.campaign.schema import (
 from calibration.campaign.tables import (
     check_bulk_of_confined_tests,
     check_bulk_ratio,
+    check_compressible_laws,
     check_values_finite_and_consistent,
     find_and_check_specimen_or_none,
     find_recording_files,
@@ -408,6 +409,7 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
                              "Add a [[specimen]], or use the scope 'per_test'", field=f"fit.scope.{name}")
     if table.method == "analytical":
         require_analytical_support_of_fit_table(table, named)
+    check_compressible_laws(table, named, [test.kind for test in tests])
     check_bulk_of_confined_tests(table, named, [test.kind for test in tests])
     if isinstance(noise.force_N, float | int) and all(test.states_stress for test in tests):
         raise InputError(f"has an effect on tests with a force only; got {noise.force_N:g} N, and the tests have "

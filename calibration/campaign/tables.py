@@ -38,6 +38,7 @@ from tissue_sim.experiment.tools.tool import (
 )
 from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.files import find_files, is_valid_and_existing_path
+from tissue_sim.laws import find_law
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.parameters import list_field_declarations, make_from_file_values
 from tissue_sim.rig.file import load_rig
@@ -182,6 +183,37 @@ def require_analytical_support_of_fit_table(table: FitTable, named: Mapping[str,
                              "fit.method = 'inverse_fem'", field=f"fit.{key}.{name}")
 
 
+def check_compressible_laws(table: FitTable, named: Mapping[str, ScopedCampaignParameter],
+                            kinds: Sequence[TestKind]) -> None:
+    """Raise an `InputError` if a law with its own volumetric response is combined with what it does not support.
+
+    Args:
+        table: table ``[fit]``.
+        named: parameters by their names in the file.
+        kinds: kinds of the tests.
+    """
+    compressible = [name for name in table.laws if find_law(name).is_compressible]
+    if not compressible:
+        return
+    name = compressible[0]
+    bulk = [key for key in named if named[key].path.startswith("bulk.")]
+    if table.bulk_ratio is not None or bulk:
+        raise InputError(f"must not be given with {name}, whose parameters state the volumetric response. Remove it; "
+                         f"laws that need it are calibrated in another campaign",
+                         field="fit.bulk_ratio" if table.bulk_ratio is not None
+                         else f"fit.{'start' if bulk[0] in table.start else 'fixed'}.{bulk[0]}")
+    others = [key for key, each in named.items() if each.is_material_parameter and not each.is_law_parameter
+              and each.path.split(".")[0].split("[")[0] in ("viscoelastic", "softening", "poroelasticity")]
+    if others:
+        raise InputError(f"must not be fitted with {name}: relaxation, softening and drainage act on the isochoric "
+                         "stress, which a compressible law does not separate. Leave it out, or use another law",
+                         field=f"fit.{'start' if others[0] in table.start else 'fixed'}.{others[0]}")
+    for kind in kinds:
+        if kind.closed_form is not None and not kind.closed_form.includes_change_of_volume:
+            raise InputError(f"must not contain {name}, because {kind.name} has a closed form of constant volume only. "
+                             "Use another law, or leave the test out", field="fit.laws")
+
+
 def check_bulk_of_confined_tests(table: FitTable, named: Mapping[str, ScopedCampaignParameter],
                                  kinds: Sequence[TestKind]) -> None:
     """Raise an `InputError` if a test between lateral walls has no bulk modulus, or another test ignores a fitted one.
@@ -193,7 +225,7 @@ def check_bulk_of_confined_tests(table: FitTable, named: Mapping[str, ScopedCamp
     """
     confined = [kind.name for kind in kinds if kind.has_lateral_wall]
     bulk = [name for name in named if named[name].path.startswith("bulk.")]
-    if not confined:
+    if not confined or all(find_law(name).is_compressible for name in table.laws):
         return
     if table.bulk_ratio is None and not bulk:
         raise InputError(f"must be given for {confined[0]}, whose force depends on the bulk modulus; got none. State "

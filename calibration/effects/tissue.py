@@ -14,6 +14,7 @@ from calibration.effects.candidates import (
     require_tests,
 )
 from calibration.effects.effect import Candidate, DiagnosisData, Effect, NotTestableError, get_experiment
+from tissue_sim.laws import find_law
 from tissue_sim.material.material import BULK_RATIOS, Bulk, with_softening_form
 from tissue_sim.material.softening import SofteningForm
 from tissue_sim.model import Model
@@ -61,6 +62,8 @@ class Compressibility(Effect):
             situation.require_unused_parameter(path)
         if not situation.simulated_tests():
             raise NotTestableError("all tests are computed by closed forms of an incompressible tissue")
+        if any(find_law(name).is_compressible for name in fit.laws):
+            raise NotTestableError("the law states the volumetric response itself")
         bulk = fit.bulk if fit.bulk.value is not None else Bulk("bulk_ratio", BULK_RATIOS[1])
         trial_ratio = min(self.trial_ratio, 0.1 * bulk.modulus(mu) / mu)
         if trial_ratio < 2.0 * BULK_RATIOS[0]:

@@ -220,10 +220,13 @@ def fit_law_to_descents_and_estimate(problem: OrdinaryProblem) -> tuple[list[Des
     starts = compute_analytical_starts(thin)
     descents = [run_descent(thin, start, number, *limits) for number, start in enumerate(starts, 1)]
     ends = find_distinct_minima([(d, 1) for d in descents if np.isfinite(d.error)], make_mask_of_agreeing_parameters)
-    refined = ends if problem.long_term_variables_or_none \
-        else [(run_descent(problem, end.theta, end.start, _SETTINGS.solves),
-               count)
-              for end, count in ends[:_SETTINGS.max_minima]]
+    refined = ends if problem.long_term_variables_or_none else []
+    for end, count in ends if not refined else ():
+        if len(refined) == _SETTINGS.max_minima:
+            break
+        # A law may be undefined between the samples of the thinned problem.
+        if np.isfinite((descent := run_descent(problem, end.theta, end.start, _SETTINGS.solves)).error):
+            refined.append((descent, count))
     refined = sorted((item for item in refined if np.isfinite(item[0].error)), key=lambda item: item[0].error)
     if not refined:
         hint = "" if all(test.specimen is None for test in problem.tests) else \

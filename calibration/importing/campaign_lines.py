@@ -24,6 +24,7 @@ from calibration.importing.specimen_sizes import explain_unusable_size_or_empty
 from calibration.importing.zero import PRELOAD
 from tissue_sim.experiment.kinds.kind import KINDS, SizeNames, TestKind
 from tissue_sim.experiment.tools.tool import list_shapes_without_file
+from tissue_sim.laws import LAWS
 from tissue_sim.recording.contact import (
     INTERVAL_DEVIATIONS,
     relative_modulus_error_from_contact,
@@ -413,6 +414,8 @@ def make_fit_lines_and_missing(tests: Sequence[ImportedTest], wishes: ImportOpti
         (DEFAULT_LAWS[method], "of two parameters at most")
     lines = [CampaignLine("method", method, why),
              CampaignLine("laws", list(wishes.laws or laws), "stated" if wishes.laws else reason)]
+    if wishes.laws and all(name in LAWS and LAWS[LAWS.get_name_of_alias(name)].is_compressible for name in wishes.laws):
+        return [*lines, *make_contact_offset_lines(tests, bounded=closed)], missing
     if any(kind.has_lateral_wall for kind in kinds):
         lines.append(CampaignLine("bulk_ratio", None, "K / mu0; the test measures K + 4/3 mu0 only"))
         missing.append("the ratio K / mu0 of the specimen in confined compression (fit.bulk_ratio, or bulk.K_Pa in "

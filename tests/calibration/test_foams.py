@@ -1,0 +1,95 @@
+"""Fits of compressible foams: measured foam against another implementation, confined compression, refusals."""
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+import tissue_sim as ts
+from calibration import calibrate
+
+#: Name of the file -> kind of test, channel of its abscissa.
+TESTS = {"UT": ("uniaxial_tension", "stretch"), "UC": ("lubricated_compression", "stretch"),
+         "SS": ("simple_shear", "shear strain")}
+
+
+def write_campaign(folder, curves, fit, specimen=""):
+    """Write recordings and a campaign; curves: kind -> (channel, abscissa, nominal stress in Pa)."""
+    lines = [specimen]
+    for kind, (channel, abscissa, stress) in curves.items():
+        ts.write_recording(ts.Recording({channel: abscissa, "nominal stress": stress}), folder / f"{kind}.csv")
+        lines += ["[[test]]", f'name = "{kind}"', f'kind = "{kind}"', f'recordings = ["{kind}.csv"]']
+    (folder / "study.toml").write_text("\n".join([*lines, "[fit]", *fit]) + "\n", encoding="utf-8")
+    return folder / "study.toml"
+
+
+def compute_stress(parameters, curves):
+    """Stresses of all curves, Pa; written without the program, the lateral stretch by bisection."""
+    mu, alpha, nu = parameters
+    beta, found = nu / (1.0 - 2.0 * nu), []
+    for kind, (_, x, _) in curves.items():
+        if kind == "simple_shear":
+            first = x / 2.0 + np.sqrt(1.0 + x**2 / 4.0)
+            found.append(2.0 * mu / alpha * (first**alpha - first**-alpha) / (first + 1.0 / first))
+            continue
+        low, high = np.full(x.shape, -4.0), np.full(x.shape, 2.0)
+        for _ in range(60):
+            lateral = 0.5 * (low + high)
+            positive = alpha * lateral > -alpha * beta * (np.log(x) + 2.0 * lateral)
+            positive = positive if alpha > 0 else ~positive
+            low, high = np.where(positive, low, lateral), np.where(positive, lateral, high)
+        J = x * np.exp(2.0 * lateral)
+        found.append(2.0 * mu / alpha * (x**alpha - J**(-alpha * beta)) / x)
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize(("foam", "rms"), [("leap", {"UT": 8.999, "UC": 2.058, "SS": 6.176}),
+                                           ("turbo", {"UT": 13.855, "UC": 8.012, "SS": 3.507})])
+def test_joint_fit_of_measured_foam_is_the_minimum(foam, rms, data_folder, tmp_path):
+    """The reference descends from 10 random starts."""
+    curves = {}
+    for name, (kind, channel) in TESTS.items():
+        x, stress = np.loadtxt(data_folder / "foam_compressible" / f"foam_{foam}__foam_{name}.csv", delimiter=",",
+                               skiprows=1).T
+        curves[kind] = (channel, x, 1e6 * stress)
+    data = np.concatenate([stress for *_, stress in curves.values()])
+
+    def compute_residual(parameters):
+        return (compute_stress(parameters, curves) - data) / 1e5
+
+    rng, low, high = np.random.default_rng(5), [1e3, -40.0, -0.9], [1e7, 40.0, 0.49]
+    reference = min((least_squares(compute_residual, rng.uniform([3e4, -15.0, -0.3], [3e5, 20.0, 0.45]), x_scale="jac",
+                                   bounds=(low, high)) for _ in range(10)), key=lambda each: each.cost)
+    result, = calibrate([write_campaign(tmp_path, curves, ['laws = ["hyperfoam"]'])], tmp_path / "out", figures=False)
+    found = list(result.fits[0].parameters.values())
+    np.testing.assert_allclose(found, reference.x, rtol=1e-4)
+    assert float(np.sum(compute_residual(found)**2)) <= 2.0 * reference.cost * (1.0 + 1e-8)
+    parts = np.split(1e5 * compute_residual(found), np.cumsum([len(x) for _, x, _ in curves.values()])[:-1])
+    for part, expected in zip(parts, rms.values(), strict=True):
+        assert 1e-3 * np.sqrt(np.mean(part**2)) == pytest.approx(expected, rel=1e-3)
+    material = ts.load_material(tmp_path / "out" / "hyperfoam_1.material.json")
+    assert material.bulk.kind == "of_law" and material.parameters == pytest.approx(dict(result.fits[0].parameters))
+
+
+def test_confined_compression_needs_no_bulk_modulus(tmp_path):
+    law, exact = ts.find_law("hyperfoam_1"), [2e4, 5.0, 0.2]
+    stretch = np.linspace(1.0, 0.6, 30)
+    curves = {kind: ("stretch", stretch, law.nominal_stress(stretch, exact, mode))
+              for kind, mode in (("confined_compression", "confined"), ("lubricated_compression", "uniaxial"))}
+    specimen = '[[specimen]]\nname = "foam"\nradius_mm = 20\nheight_mm = 20\n'
+    path = write_campaign(tmp_path, curves, ['laws = ["hyperfoam"]'], specimen)
+    result, = calibrate([path], tmp_path / "out", figures=False)
+    np.testing.assert_allclose(list(result.fits[0].parameters.values()), exact, rtol=1e-5)
+
+
+@pytest.mark.parametrize(("kind", "line", "message"), [
+    ("lubricated_compression", "bulk_ratio = 10.0", r"fit\.bulk_ratio.*must not be given with hyperfoam"),
+    ("lubricated_compression", "start = {\"bulk.K_Pa\" = 1e4}", r"fit\.start\.bulk\.K_Pa.*must not be given with"),
+    ("lubricated_compression", "start = {\"viscoelastic.terms[0].g\" = 0.2, \"viscoelastic.terms[0].tau_s\" = 1.0}",
+     r"viscoelastic.*must not be fitted with hyperfoam"),
+    ("torsion", "", r"fit\.laws.*torsion has a closed form of constant volume only"),
+])
+def test_refusals(kind, line, message, tmp_path):
+    stretch = np.linspace(1.0, 0.8, 20)
+    curves = {kind: ("stretch" if kind != "torsion" else "shear strain", stretch, -1e3 * (1.0 - stretch))}
+    with pytest.raises(ts.InputError, match=message):
+        calibrate([write_campaign(tmp_path, curves, ['laws = ["hyperfoam"]', line])], tmp_path / "out", figures=False)
