@@ -357,9 +357,6 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
     if remembering:
         reject_left_out_start_of_loading(displacement, force, screening, path)
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
-    if labels is None and time is None and motions is not None:
-        # The order of a table without time states no loading and unloading.
-        labels = np.full(displacement.size, "ramp")
     whole = segment_recording_from_contact(test, displacement, force, time, labels, stressed=stressed,
                                            remembering=remembering,
                                            path=path)

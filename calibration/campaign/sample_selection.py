@@ -24,12 +24,17 @@ from tissue_sim.recording.recording import (
     get_recorded_tool_if_different_or_empty,
 )
 from tissue_sim.recording.screening import (
+    ControlledQuantityFindings,
     LoadAtZeroAndContactShift,
     Preload,
     Screening,
     estimate_load_at_zero_displacement,
 )
-from tissue_sim.recording.segments import Segmentation, find_segments_of_arrays
+from tissue_sim.recording.segments import (
+    Segmentation,
+    find_segments_of_arrays,
+    make_segmentation_of_one_loading,
+)
 
 #: Minimum displacement to the opposite side of a specimen loaded in both directions, as a fraction of the largest.
 OTHER_SIDE = 0.05
@@ -212,7 +217,8 @@ def add_controlled_quantity_to_screening(screening: Screening, motion: np.ndarra
         time: time, s, shape (n,), or None.
         test: test that may state the controlled quantity.
     """
-    control = detect_controlled_quantity_and_creep(motion, load, time)
+    control = ControlledQuantityFindings(None, "ramp") if test.kind.has_several_motions and time is None else \
+        detect_controlled_quantity_and_creep(motion, load, time)
     return replace(screening, control=control if test.control == "find" else replace(control, equal_samples=0))
 
 
@@ -341,7 +347,10 @@ def segment_recording_from_contact(test: Test, displacement: np.ndarray, force: 
             occurs and the test sets ``failure = 'refuse'``.
     """
     units = STRESS_UNITS if stressed else FORCE_UNITS
-    found = find_segments_of_arrays(displacement, force, time, labels, units=units)
+    # The order of a table of several motions without time states no loading and unloading.
+    found = make_segmentation_of_one_loading(displacement.size, units) if (
+        test.kind.has_several_motions and time is None and labels is None) else find_segments_of_arrays(
+        displacement, force, time, labels, units=units)
     contact, used = found.contact, np.ones(displacement.size, bool)
     notes: dict[str, str] = {}
     recorded, shift = force, 0.0

@@ -261,6 +261,9 @@ def make_specimen_lines_and_missing(reading: TableGroup, wishes: ImportOptions, 
         shape, reason = reading.specimen["shape"], "in the sidecar of the recording"
     if shape is not None:
         return _make_shape_lines_and_missing(str(shape), sizes, reason)
+    if kind is not None and kind.has_several_motions:
+        return _make_shape_lines_and_missing("block", sizes, "a sheet; height along axis 1, length along axis 2",
+                                             "--shape block ")
     lines, missing = [], []
     is_round = kind is not None and kind.size_names.is_round
     flat = not is_round and ("area_mm2" in sizes or (
@@ -280,12 +283,12 @@ def make_specimen_lines_and_missing(reading: TableGroup, wishes: ImportOptions, 
     return tuple(lines), missing
 
 
-def _make_shape_lines_and_missing(shape: str, sizes: Mapping[str, SizeOrSpeedInMillimetres],
-                                  reason: str) -> tuple[tuple[CampaignLine, ...], list[str]]:
-    """Return the lines of ``[[specimen]]`` with a stated shape, and one phrase for each missing size."""
+def _make_shape_lines_and_missing(shape: str, sizes: Mapping[str, SizeOrSpeedInMillimetres], reason: str,
+                                  shape_flag: str = "") -> tuple[tuple[CampaignLine, ...], list[str]]:
+    """Return the lines of ``[[specimen]]`` with a known shape, and one phrase for each missing size."""
     lines, missing = [CampaignLine("shape", shape, reason)], []
     for key, declared in get_size_declarations_of_shape(shape).items():
-        flag = f"--{key.replace('_', '-')}"
+        flag = f"{shape_flag}--{key.replace('_', '-')}"
         if key in sizes:
             lines.append(CampaignLine(key, sizes[key].value, sizes[key].reason))
         elif declared.absent is None:
@@ -376,6 +379,9 @@ def _make_air_and_failure_lines(parts: Sequence[ReplicateFile]) -> list[Campaign
     motions = [(part.file.name, motion) for part in parts for motion in part.motions]
     air = [(name, motion.contact) for name,
            motion in motions if motion.starts_in_air_or_none_if_unclear and motion.contact is not None]
+    kind = KINDS.get(parts[0].reading.kind.kind or "")
+    if kind is not None and kind.load_count > 1:
+        air = []  # The contact of a test with several loads is that of the recording.
     zeroed = any("zeroing" in recording.metadata for part in parts for recording in part.reading.recordings)
     if air and not zeroed and all(motion.starts_in_air_or_none_if_unclear is not None for _, motion in motions):
         name, contact = air[0]
@@ -390,7 +396,7 @@ def _make_air_and_failure_lines(parts: Sequence[ReplicateFile]) -> list[Campaign
 
 def _get_channel_name_in_flag(channel: str) -> str:
     """Return the name of a channel as the user types it in a flag: ``shear_strain`` in ``--unit shear_strain=...``."""
-    return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
+    return channel.removesuffix(" 2").replace("nominal stress", "stress").replace(" ", "_")
 
 
 def make_fit_lines_and_missing(tests: Sequence[ImportedTest], wishes: ImportOptions

@@ -21,7 +21,12 @@ from tissue_sim.recording.failure import Failure
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
 from tissue_sim.recording.recording import MOTIONS, Recording
 from tissue_sim.recording.screening import EQUAL_LOAD, ControlledQuantityFindings, Screening, format_sample_numbers
-from tissue_sim.recording.segments import Segmentation, find_segments, get_positive_motion_load_and_units
+from tissue_sim.recording.segments import (
+    Segmentation,
+    find_segments,
+    get_positive_motion_load_and_units,
+    is_table_of_two_axes,
+)
 
 
 def list_signal_based_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None,
@@ -196,6 +201,8 @@ def analyse_recorded_motion(recording: Recording, kind: str | None, controlled: 
 
 def _get_control_findings(recording: Recording, kind: str | None) -> ControlledQuantityFindings:
     """Return the findings about control: which quantity the machine controls, holds, creep and relaxation."""
+    if is_table_of_two_axes(recording):
+        return ControlledQuantityFindings(None, "ramp")
     motion, load, _ = get_positive_motion_load_and_units(recording, KINDS.get(kind) if kind else None)
     return detect_controlled_quantity_and_creep(motion, load, recording.time if "time" in recording
                                                 and np.ptp(recording.time) > 0 else None)

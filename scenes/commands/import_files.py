@@ -32,7 +32,8 @@ if TYPE_CHECKING:
 _CHANNELS = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
              "strain": "strain", "shear_strain": "shear strain", "shear strain": "shear strain",
              "stress": "nominal stress", "nominal_stress": "nominal stress", "nominal stress": "nominal stress",
-             "temperature": "temperature"}
+             "temperature": "temperature", "angle": "angle", "torque": "torque", "displacement_2": "displacement 2",
+             "force_2": "force 2", "stretch_2": "stretch 2", "strain_2": "strain 2", "stress_2": "nominal stress 2"}
 #: Sizes of a specimen that are allowed without --shape.
 _GENERAL_SIZES = ("radius_mm", "area_mm2", "height_mm")
 #: Flags that become keys of the tests in the campaign.

@@ -5,6 +5,7 @@ import pytest
 
 import calibration
 import tissue_sim as ts
+from calibration import ImportOptions, InterpretationOverrides
 from calibration.campaign.measured import read_measured_curves
 
 LAW = ts.find_law("mooney_rivlin")
@@ -121,3 +122,77 @@ def test_what_is_wrong_is_refused(tmp_path):
     with pytest.raises(ts.InputError, match=r"biaxial_tension needs columns .* or 'stretch' and 'nominal stress' and "
                                             "'stretch 2' and 'nominal stress 2'; this file has stretch"):
         calibrate(tmp_path, make_test() + FIT)
+
+
+def write_text(folder, header, columns, name="sheet"):
+    rows = (",".join(f"{value:.8g}" for value in row) for row in zip(*columns, strict=True))
+    (folder / f"{name}.csv").write_text("\n".join([header, *rows]) + "\n", encoding="utf-8")
+    return folder / f"{name}.csv"
+
+
+STRESS = LAW.nominal_stress(STRETCH, TRUTH, "biaxial")
+FORCE = STRESS * [SIDES[1] * SIDES[2], SIDES[0] * SIDES[2]]
+TRAVEL = (STRETCH - 1.0) * SIDES[:2]
+
+
+@pytest.mark.parametrize(("header", "columns"), [
+    ("Time (s),stretch x,stretch y,P11 (kPa),P22 (kPa)", (TIME, *STRETCH.T, *STRESS.T / 1e3)),
+    ("lambda1,lambda2,P1 [MPa],P2 [MPa]", (*STRETCH.T, *STRESS.T / 1e6)),
+    ("Time (s),Strain XX (%),Stress XX (kPa),Strain YY (%),Stress YY (kPa)",
+     (TIME, 100.0 * (STRETCH[:, 0] - 1.0), STRESS[:, 0] / 1e3, 100.0 * (STRETCH[:, 1] - 1.0), STRESS[:, 1] / 1e3)),
+    ("Green strain x,Green strain y,Cauchy stress x (kPa),Cauchy stress y (kPa)",
+     (*(STRETCH.T**2 - 1.0) / 2.0, *(STRETCH * STRESS).T / 1e3)),
+    ("Cruciform\nTime (s),Displacement 1 (mm),Force 1 (N),Displacement 2 (mm),Force 2 (N)",
+     (TIME, 1e3 * TRAVEL[:, 0], FORCE[:, 0], 1e3 * TRAVEL[:, 1], FORCE[:, 1])),
+    ("Time (s),Displacement X (mm),Displacement Y (mm),Force X (N),Force Y (N)",
+     (TIME, *1e3 * TRAVEL.T, *FORCE.T))])
+def test_columns_of_two_axes_are_imported(tmp_path, monkeypatch, header, columns):
+    monkeypatch.chdir(tmp_path)
+    path = write_text(tmp_path, header, columns)
+    sizes = {"shape": "block", "height_mm": 20.0, "length_mm": 40.0, "width_mm": 2.0} if "Force" in header else {}
+    imported = calibration.import_files([path], wishes=ImportOptions(specimen=sizes, laws=("mooney_rivlin",)))
+    assert imported.is_complete, (imported.missing, imported.problem)
+    assert [test.kind for test in imported.tests] == ["biaxial_tension"]
+    assert calibrate(tmp_path, imported.text).best.parameters == pytest.approx(TRUTH, rel=1e-5)
+
+
+def test_sizes_of_the_sheet_are_asked_for(tmp_path):
+    path = write_text(tmp_path, "Biaxial\nDisplacement 1 (mm),Force 1 (N),Displacement 2 (mm),Force 2 (N)",
+                      (1e3 * TRAVEL[:, 0], FORCE[:, 0], 1e3 * TRAVEL[:, 1], FORCE[:, 1]))
+    assert calibration.import_files([path]).missing == (
+        "the length of the specimen (--shape block --length-mm)",
+        "the width of the specimen (--shape block --width-mm)",
+        "the height of the specimen (--shape block --height-mm)")
+
+
+def test_numbered_columns_of_two_specimens_are_two_recordings(tmp_path):
+    """Without a word for a biaxial test, interleaved columns belong to two specimens."""
+    path = write_text(tmp_path, "Displacement 1 (mm),Force 1 (N),Displacement 2 (mm),Force 2 (N)",
+                      (TIME, TIME, TIME, 1.1 * TIME))
+    assert [len(reading.recordings) for each in calibration.import_files([path]).files for reading in each.readings] \
+        == [1, 1]
+
+
+def test_biaxial_words_above_one_axis_are_refused(tmp_path):
+    path = write_text(tmp_path, "Biaxial test\nStretch,Stress (kPa)", (STRETCH[:, 0], STRESS[:, 0]))
+    with pytest.raises(ts.InputError, match=r"'biaxial test' above the numbers.* the table has one axis"):
+        calibration.import_files([path])
+
+
+def test_kawabata_is_imported(data_folder, tmp_path, monkeypatch):
+    """117 points of isoprene rubber; equal stretches have equal stresses."""
+    path = data_folder.resolve() / "rubber_treloar_kawabata" / "kawabata1981_biaxial.csv"
+    monkeypatch.chdir(tmp_path)
+    assert calibration.import_files([path]).missing == (
+        "the unit of column 's1' (nominal stress) (--unit stress=...)",
+        "the unit of column 's2' (nominal stress 2) (--unit stress=...)")
+    imported = calibration.import_files([path], wishes=ImportOptions(
+        InterpretationOverrides(units={"nominal stress": "MPa"}), laws=("ogden_2",)))
+    assert imported.is_complete
+    recording, = imported.files[0].readings[0].recordings
+    assert len(recording) == 117 and recording.channel("stretch").max() == 3.7
+    equal = recording.channel("stretch") == recording.channel("stretch 2")
+    np.testing.assert_array_equal(recording.channel("nominal stress")[equal],
+                                  recording.channel("nominal stress 2")[equal])
+    result = calibrate(tmp_path, imported.text)
+    assert result.best.status == "converged" and result.best.law == "ogden_2"

@@ -138,13 +138,14 @@ def require_valid_measure(measure: object, channel: str, channels: Mapping[str, 
     Raises:
         InputError: with the field.
     """
-    names = [name for name, each in MEASURES.items() if each.channel == channel]
+    axis = channel[len(channel.removesuffix(" 2")):]
+    names = [name for name, each in MEASURES.items() if each.channel == channel.removesuffix(" 2")]
     if measure not in names:
         expected = f"one of {', '.join(names)}" if names else "left out: the channel has one measure only"
         raise InputError(f"measure of {channel} must be {expected}; got {measure!r}"
                          f"{make_hint_with_similar_or_known_words(str(measure), names) if names else ''}",
                          field=f"{field}.measure")
-    if channel == "nominal stress" and not {"stretch", "shear strain"} & channels.keys():
+    if channel == f"nominal stress{axis}" and not {f"stretch{axis}", "shear strain"} & channels.keys():
         raise InputError(f"{MEASURES[str(measure)].title} needs the stretch to become a nominal stress; name a column "
                          "of stretch or strain too", field=f"{field}.measure")
 
@@ -153,26 +154,35 @@ def convert_recording_to_stretch_and_nominal(recording: Recording, measures: Map
     """Convert other measures to stretch and nominal stress, and add the measures to the metadata (``measures``).
 
     Args:
-        recording: its channels ``stretch`` and ``nominal stress`` hold values of the measures.
+        recording: its channels ``stretch`` and ``nominal stress`` hold values of the measures, also those of a second
+            axis.
         measures: channel -> name in `MEASURES`.
 
     Raises:
         InputError: values that the measure cannot have; a measure of stress that has no conversion in simple shear.
     """
     recording = recording.with_metadata(measures=dict(measures))
-    if "stretch" in measures:
-        recording = recording.with_channels(
-            stretch=MEASURES[measures["stretch"]].convert(recording.channel("stretch")))
-    stress = measures.get("nominal stress")
+    for axis in ("", " 2"):
+        recording = _convert_axis_to_stretch_and_nominal(recording, measures.get(f"stretch{axis}"),
+                                                         measures.get(f"nominal stress{axis}"), axis)
+    return recording
+
+
+def _convert_axis_to_stretch_and_nominal(recording: Recording, strain: str | None, stress: str | None,
+                                         axis: str) -> Recording:
+    """Return a recording with the stretch and the nominal stress of one axis, whose channels end with `axis`."""
+    if strain is not None:
+        recording = recording.with_channels(**{f"stretch{axis}": MEASURES[strain].convert(
+            recording.channel(f"stretch{axis}"))})
     if stress is None:
         return recording
-    if "stretch" in recording:
-        stretch = recording.channel("stretch")
+    if f"stretch{axis}" in recording:
+        stretch = recording.channel(f"stretch{axis}")
         if stretch.min() <= 0:
             raise InputError(f"{MEASURES[stress].title} needs stretches above zero; got {stretch.min():g}",
-                             field="stretch")
-        return recording.with_channels(**{"nominal stress": MEASURES[stress].convert(
-            recording.channel("nominal stress"), stretch)})
+                             field=f"stretch{axis}")
+        return recording.with_channels(**{f"nominal stress{axis}": MEASURES[stress].convert(
+            recording.channel(f"nominal stress{axis}"), stretch)})
     if stress != "true":
         raise InputError(f"{MEASURES[stress].title} has no conversion to nominal stress in simple shear; give the "
                          "nominal or the true shear stress", field="nominal stress")
@@ -186,4 +196,5 @@ def get_original_measures(recording: Recording) -> dict[str, StrainOrStressMeasu
     """
     stated = recording.metadata.get("measures")
     return {channel: MEASURES[name] for channel, name in (stated.items() if isinstance(stated, Mapping) else ())
-            if channel in recording and name in MEASURES and MEASURES[name].channel == channel}
+            if channel in recording and name in MEASURES
+            and MEASURES[name].channel == channel.removesuffix(" 2")}

@@ -14,7 +14,7 @@ from tissue_sim.recording.contact import Contact, find_contact
 from tissue_sim.recording.control import find_creep_intervals, find_final_oscillation_or_none
 from tissue_sim.recording.curve_units import FORCE_UNITS, STRESS_UNITS, UNITS_OF_LOAD, CurveUnits
 from tissue_sim.recording.failure import Failure, find_failure
-from tissue_sim.recording.recording import MOTIONS, Recording
+from tissue_sim.recording.recording import MOTIONS, SECOND_MOTIONS, Recording
 from tissue_sim.recording.segmentation import label_reloads_and_cycles, label_samples_ramp_hold_unload
 
 #: Names of segments, in the order of a test.
@@ -105,8 +105,24 @@ def find_segments(recording: Recording, kind: TestKind | str | None = None, *,
                                            load=not unknown_units.isdisjoint(UNITS_OF_LOAD))
     time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
     stated = "segment" in recording.labels
+    if is_table_of_two_axes(recording) and not stated:
+        return make_segmentation_of_one_loading(len(recording), units)
     return find_segments_of_arrays(motion, load, time, recording.labels["segment"] if stated else None,
                                    units=units)
+
+
+def is_table_of_two_axes(recording: Recording) -> bool:
+    """Return whether a recording has two axes and no time, so that its order states no loading and unloading."""
+    return any(name in recording for name in SECOND_MOTIONS) and not (
+        "time" in recording and np.ptp(recording.time) > 0)
+
+
+def make_segmentation_of_one_loading(size: int, units: CurveUnits) -> Segmentation:
+    """Return the segmentation of a recording that is one loading from contact on."""
+    labels, cycles = np.full(size, "ramp"), np.ones(size, int)
+    for values in (labels, cycles):
+        values.flags.writeable = False
+    return Segmentation(labels, cycles, None, None, False, units, ())
 
 
 def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None,
@@ -181,7 +197,7 @@ def get_positive_motion_load_and_units(recording: Recording,
     pairs = [*(kind.channels if kind is not None else ())] or [
         pair for one in KINDS.values() for pair in one.channels]
     pair = next((pair for pair in pairs if all(name in recording for name in pair)), pairs[0])
-    (motion, load), units = (recording.channel(name) for name in pair), UNITS_OF_LOAD[pair[1]]
+    (motion, load), units = (recording.channel(name) for name in pair[:2]), UNITS_OF_LOAD[pair[1]]
     if units is not STRESS_UNITS:
         return motion, load, units
     strain = motion - MOTIONS[pair[0]]

@@ -102,7 +102,7 @@ _TURNED = {"displacement": "falls under load", "force": "against the motion", "n
 
 def get_command_line_channel_name(channel: str) -> str:
     """Return the name of a channel in options of the command line: ``stress`` for the nominal stress."""
-    return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
+    return channel.replace("nominal stress", "stress").replace(" ", "_")
 
 
 def make_machine_assumption(machine: MachineFormat | None, hints: InterpretationOverrides) -> Assumption:
@@ -136,7 +136,7 @@ def iterate_column_assumptions(read: Read, columns: Sequence[ColumnGuess], recor
                          flag=f"--column {flag}={_quote_for_command_line(column.header or str(column.place))}")
         yield _make_unit_assumption(read, column, columns, recordings, others, hints, flag)
         if channel not in ("time", "temperature"):
-            is_signed = not hints.signs.keys().isdisjoint({channel, column.role})
+            is_signed = not hints.signs.keys().isdisjoint({channel.removesuffix(" 2"), column.role})
             turned = column.sign < 0
             evidence = () if is_signed else (
                 (_TURNED.get(channel, "negative under load"),) if turned else ("positive under load",))
@@ -243,7 +243,7 @@ def _make_unit_assumption(read: Read, column: ColumnGuess, columns: Sequence[Col
                           others: Sequence[ColumnGuess], hints: InterpretationOverrides, flag: str) -> Assumption:
     """Return the assumption about the unit of a column, with % or a contradictory unit as an alternative."""
     channel, subject = column.channel, f"unit of {column.channel}"
-    is_stated = not (hints.units.keys() | hints.scales.keys()).isdisjoint({channel, column.role})
+    is_stated = not (hints.units.keys() | hints.scales.keys()).isdisjoint({channel.removesuffix(" 2"), column.role})
     alternatives = () if is_stated or not _is_strain_or_stretch_without_factor(column) \
         else _list_percent_as_alternative_if_plausible(
         read, column, columns, recordings, others, flag, is_named=bool(hints.columns))

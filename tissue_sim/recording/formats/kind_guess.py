@@ -15,7 +15,7 @@ from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.control import find_final_oscillation_or_none
 from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
 from tissue_sim.recording.formats.guesses import ColumnGuess, KindGuess
-from tissue_sim.recording.formats.kind_words import KindHint, NamedTest, find_named_tests
+from tissue_sim.recording.formats.kind_words import KindHint, KnownTestWithoutKind, NamedTest, find_named_tests
 from tissue_sim.recording.formats.sources import FileContent, NumberTable
 from tissue_sim.recording.formats.vocabulary import MachineFormat
 from tissue_sim.recording.recording import LOADS, MOTIONS, Recording
@@ -54,8 +54,9 @@ def set_column_signs_and_zeros(columns: Sequence[ColumnGuess], recordings: Seque
     """
     turned: dict[str, ColumnGuess] = {}
     for column in columns:
-        if column.channel == "displacement":
-            column = _set_sign_and_zero_of_displacement_column(column, recordings, starts, stated)
+        if column.channel in ("displacement", "displacement 2"):
+            own = starts if column.channel == "displacement" else [None] * len(recordings)
+            column = _set_sign_and_zero_of_displacement_column(column, recordings, own, stated)
         elif column.channel == "stretch" and column.role != "stretch" and kind == "lubricated_compression" \
                 and "stretch" not in stated \
                 and _is_majority_true(each.channel("stretch").max() - 1.0 > 1.0 - each.channel("stretch").min()
@@ -71,8 +72,9 @@ def set_column_signs_and_zeros(columns: Sequence[ColumnGuess], recordings: Seque
 def _set_sign_and_zero_of_displacement_column(column: ColumnGuess, recordings: Sequence[Recording],
                                               starts: Sequence[float | None], stated: Collection[str]) -> ColumnGuess:
     """Return the column of the displacement with its sign and zero; see `set_column_signs_and_zeros`."""
-    displacements = [each.channel("displacement") for each in recordings]
-    static = [offset for each in recordings if (offset := _compute_mean_displacement_if_oscillating(each)) is not None]
+    displacements = [each.channel(column.channel) for each in recordings]
+    static = [] if column.channel != "displacement" else [
+        offset for each in recordings if (offset := _compute_mean_displacement_if_oscillating(each)) is not None]
     if 2 * len(static) > len(recordings):
         return column if "displacement" in stated or sum(static) >= 0 else replace(
             column, sign=-1, reason=f"{column.reason}; it oscillates around a negative offset, so turned")
@@ -240,10 +242,28 @@ def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], 
     if refused is not None:
         return KindGuess(None, f"{refused.word!r} {refused.where}", refused=refused)
     by_columns, by_words = _guess_kind_by_shear_strain_or_stretch(recordings, columns), _guess_by_words(named, hints)
+    if by_words is not None and columns and _needs_other_axis(by_words, columns):
+        return _refuse_kind_without_other_axis(by_words, named)
     if by_columns is not None and by_words is not None and by_columns.kind != by_words.kind:
         return _select_kind_by_columns_or_words(by_columns, by_words, columns)
     found = by_columns or by_words or _guess_compression_by_negative_signs(recordings, columns, machine)
     return found or KindGuess(None, "the file does not state how the specimen was loaded")
+
+
+def _needs_other_axis(guess: KindGuess, columns: Sequence[ColumnGuess]) -> bool:
+    """Return whether the kind has several motions, of which the table lacks one."""
+    kind, channels = KINDS[guess.kind or ""], {column.channel for column in columns}
+    return kind.has_several_motions and not any(set(names) <= channels for names in kind.channels)
+
+
+def _refuse_kind_without_other_axis(guess: KindGuess, named: Sequence[NamedTest]) -> KindGuess:
+    """Return the refusal of a table with one axis whose words name a kind with two axes."""
+    own = next(each for each in named if each.kind == guess.kind)
+    kind = KINDS[guess.kind or ""]
+    unknown = KnownTestWithoutKind(kind.name, kind.title.lower(), (), (
+        "a test of two axes, and the table has one axis. Name the columns of both with --column, or state --kind "
+        "equibiaxial_tension if both stretches are equal"))
+    return KindGuess(None, guess.reason, refused=replace(own, kind=None, unknown=unknown))
 
 
 def _select_kind_by_columns_or_words(by_columns: KindGuess, by_words: KindGuess,
@@ -336,7 +356,11 @@ def _find_unregistered_named_test_or_none(named: Sequence[NamedTest], hints: Seq
 def _guess_kind_by_shear_strain_or_stretch(recordings: Sequence[Recording],
                                            columns: Sequence[ColumnGuess]) -> KindGuess | None:
     """Return the kind that a shear strain, an angle or the range of a stretch shows; None: no such column."""
-    roles = {column.role for column in columns}
+    roles, channels = {column.role for column in columns}, {column.channel for column in columns}
+    several = [name for name, kind in KINDS.items() if kind.has_several_motions
+               and any(set(names) <= channels for names in kind.channels)]
+    if several:
+        return KindGuess(several[0], "the table has a motion and a load for each of two axes")
     if {"angle", "torque"} <= roles:
         return KindGuess("torsion", "the table has an angle and a torque")
     if "shear strain" in roles:

@@ -206,8 +206,10 @@ class NamedTest:
         """
         if self.unknown is None:
             raise ValueError(f"only a test without a registered kind is refused; {self.kind!r} is registered")
-        return InputError(f"{self.unknown.title} ({self.word!r} {self.where}) is {self.unknown.difference}; there is "
-                          "no such kind of test. --kind overrules the word", field="kind")
+        remedy = "--kind overrules the word" if self.unknown.name in KINDS else \
+            "there is no such kind of test. --kind overrules the word"
+        return InputError(f"{self.unknown.title} ({self.word!r} {self.where}) is {self.unknown.difference}; {remedy}",
+                          field="kind")
 
 
 def normalize_and_truncate_line(text: str) -> str:

@@ -5,11 +5,13 @@ Strain is converted to displacement, or displacement to stretch, by the gauge le
 
 from __future__ import annotations
 
+import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.formats.blocks import find_positions_of_cells_with_name
 from tissue_sim.recording.formats.columns import parse_column_number_or_letters
 from tissue_sim.recording.formats.guesses import ColumnGuess, InterpretationOverrides
@@ -182,6 +184,8 @@ def find_recording_columns(numbers: NumberTable, machine: MachineFormat | None, 
         named = [column for channel, name in hints.columns.items()
                  if (column := find_column_named_by_user_or_none(numbers, channel, name, hints))]
         return [_build_user_columns(numbers, named, hints, statements)] if len(named) == len(hints.columns) else []
+    if (both := _find_columns_of_two_axes_or_none(numbers, machine, hints)) is not None:
+        return [both]
     # A constant column "Height" is the size of the specimen, not the position of the crosshead.
     sizes = {position for position, _ in iterate_constant_size_columns(numbers)}
     roles = [ColumnPositionWithRole(position, *known, _find_source_and_measure_in_header(numbers, position, known[0]))
@@ -227,6 +231,75 @@ def find_recording_columns(numbers: NumberTable, machine: MachineFormat | None, 
                         for strain in strains if not strain.missing_information_text_or_none))
         groups.append(RecordingColumns(numbers, columns, others, rivals, speed))
     return groups
+
+
+#: Header without unit -> quantity and axis, such as ``lambda1``, ``P 11``, ``stretch y`` or ``x strain``.
+_AXIS_AT_END = re.compile(r"(?P<stem>.*?)\s?(?:axis |direction )?(?P<axis>11|22|xx|yy|1|2|x|y)")
+_AXIS_AT_START = re.compile(r"(?:axis |direction )?(?P<axis>11|22|xx|yy|1|2|x|y) (?P<stem>.+)")
+#: Index of the axis that a header names.
+_AXES = {"1": 0, "11": 0, "x": 0, "xx": 0, "2": 1, "22": 1, "y": 1, "yy": 1}
+#: Symbols of a quantity that are read only with the number of an axis.
+_SYMBOLS = {"l": "stretch", "p": "stress", "s": "stress", "t": "stress", "pk1": "stress", "e": "strain",
+            "u": "displacement"}
+#: Roles of motion and load that match.
+_MATCHING_ROLES = (("displacement", "force"), ("stretch", "stress"), ("strain", "stress"))
+
+
+def _find_columns_of_two_axes_or_none(numbers: NumberTable, machine: MachineFormat | None,
+                                      hints: InterpretationOverrides) -> RecordingColumns | None:
+    """Return the columns of a biaxial test: a motion and a load for each of two axes; None: another table.
+
+    Numbered columns may also belong to two specimens. They are axes if words name a kind with several motions, or if
+    both stretches precede both stresses.
+
+    Args:
+        numbers: table of numbers.
+        machine: machine that wrote the file; None: unknown.
+        hints: hints of the user.
+    """
+    named = [hints.kind] if hints.kind is not None else [
+        each.kind for each in find_named_tests(make_hints_from_text_above_and_sheet_name(numbers))]
+    is_named = any(KINDS[kind].has_several_motions for kind in named if kind is not None)
+    if hints.kind is not None and not is_named:
+        return None
+    found: dict[str, dict[int, int]] = {}
+    is_lettered = True
+    for position in numbers.columns:
+        words = normalize_header_text(numbers.get_header_without_unit(position))
+        match = _AXIS_AT_START.fullmatch(words) or _AXIS_AT_END.fullmatch(words)
+        unit = numbers.get_unit_in_header_or_unit_row(position)
+        if match is None or (role := _find_role_of_axis_or_none(match["stem"], unit, machine)) is None:
+            continue
+        found.setdefault(role, {}).setdefault(_AXES[match["axis"]], position)
+        is_lettered &= match["axis"] not in ("1", "2")
+    pairs = [pair for pair in _MATCHING_ROLES if all(found.get(role, {}).keys() == {0, 1} for role in pair)]
+    motion, load = next(iter(reversed(pairs) if hints.direct else pairs), ("", ""))
+    if not motion or not (is_named or is_lettered
+                          or (load == "stress" and max(found[motion].values()) < min(found[load].values()))):
+        return None
+    time = next((position for position in numbers.columns if (known := find_role_and_rank_or_none(
+        numbers.get_header_without_unit(position), numbers.get_unit_in_header_or_unit_row(position), machine))
+        and known[0] == "time"), None)
+    columns = [] if time is None else [_interpret_column_of_known_role(numbers, time, "time", machine, hints)]
+    columns += [_move_to_axis(_interpret_column_of_known_role(numbers, found[role][axis], role, machine, hints), axis)
+                for axis in (0, 1) for role in (motion, load)]
+    read = {column.place - 1 for column in columns}
+    others = tuple(numbers.get_column_header(position) for position in numbers.columns if position not in read)
+    return RecordingColumns(numbers, tuple(columns), others)
+
+
+def _find_role_of_axis_or_none(stem: str, unit: str | None, machine: MachineFormat | None) -> str | None:
+    """Return the role of a column of one axis from its header without the axis; None: none of a motion or a load."""
+    symbol = _SYMBOLS.get(stem)
+    if symbol is not None and unit is None:
+        return symbol
+    known = find_role_and_rank_or_none(stem, unit, machine)
+    return symbol if known is None else known[0]
+
+
+def _move_to_axis(column: ColumnGuess, axis: int) -> ColumnGuess:
+    """Return a column as that of an axis, 0 or 1."""
+    return replace(column, channel=f"{column.channel} 2") if axis else column
 
 
 def _build_user_columns(numbers: NumberTable, named: Sequence[ColumnGuess], hints: InterpretationOverrides,
@@ -447,8 +520,10 @@ def find_column_named_by_user_or_none(numbers: NumberTable, channel: str, name: 
     position = find_column_position_or_none(numbers, name)
     if position is None or position not in numbers.columns:
         return None
-    role = {"nominal stress": "stress"}.get(channel, channel)
-    return _interpret_column_of_known_role(numbers, position, role, None, hints, is_named=True)
+    base = channel.removesuffix(" 2")
+    role = {"nominal stress": "stress"}.get(base, base)
+    return _move_to_axis(_interpret_column_of_known_role(numbers, position, role, None, hints, is_named=True),
+                         int(base != channel))
 
 
 def find_column_position_or_none(numbers: NumberTable, name: str | int) -> int | None:

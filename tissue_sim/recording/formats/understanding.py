@@ -115,8 +115,8 @@ def explain_missing_columns(found: Sequence[NumberTable], machine: MachineFormat
     bare = [numbers.get_header_without_unit(position).casefold().replace(" ", "").replace("_", "")
             for position in numbers.columns]
     if any({f"{word}1", f"{word}2"} <= set(bare) for word in ("lambda", "stretch", "λ")):
-        return (f"is a biaxial test ({has}), which has no registered kind; the rows with a stress-free second "
-                "direction are of kind uniaxial_tension")
+        return (f"is a biaxial test ({has}), of which a motion or a load is missing; name the columns of both axes "
+                "with --column. Rows with a stress-free second axis are of kind uniaxial_tension")
     sizes = {position for position, _ in iterate_constant_size_columns(numbers)}
     known = {role for position in numbers.columns if position not in sizes
              if (
