@@ -436,7 +436,12 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
 
 def _make_curve_of_moduli(recording: Recording, name: str, path: Path, test: Test, campaign: Campaign) -> MeasuredCurve:
     """Return one modulus of a table as a curve; see `calibration.forward.modulus.ModulusTest` for its coordinates."""
-    require_closed_form_support_if_used(test, campaign.fit.placeholder_material_with_effects, True, True, path)
+    material = campaign.fit.placeholder_material_with_effects
+    require_closed_form_support_if_used(test, material, True, True, path)
+    if material.viscoelastic is None:
+        raise InputError(f"{path.name} contains a loss modulus, which requires a material that relaxes; name "
+                         "viscoelastic.terms[0].g and viscoelastic.terms[0].tau_s in fit.start",
+                         file=campaign.path, field="fit.start")
     left_out = test.leave_out.get(name.removeprefix(f"{test.name}/"), test.leave_out.get("", ()))
     frequency, logarithm = get_frequency_and_log_modulus(recording, test.modulus, left_out, path)
     return MeasuredCurve(name, test, None, frequency, logarithm, None, path, str(recording.metadata.get("sha256", "")),

@@ -98,8 +98,13 @@ class DiagnosisData:
 
     @cached_property
     def has_time(self) -> bool:
-        """Whether every recording of the fitted tests has a time channel that advances."""
-        return all(curve.time is not None and np.ptp(curve.time) > 0 for curve in self.list_recordings())
+        """Whether every recording of a motion has a time channel that advances, and there is such a recording."""
+        motions = self._list_recordings_of_motions()
+        return bool(motions) and all(curve.time is not None and np.ptp(curve.time) > 0 for curve in motions)
+
+    def _list_recordings_of_motions(self) -> list[MeasuredCurve]:
+        """Return the recordings of the fitted tests except tables of moduli."""
+        return [curve for curve in self.list_recordings() if not curve.test.modulus]
 
     @cached_property
     def sampling_interval_and_duration(self) -> tuple[float, float]:
@@ -110,7 +115,7 @@ class DiagnosisData:
         """
         if not self.has_time:
             raise NotTestableError("the recordings have no time")
-        clocks = [curve.sample_times for curve in self.list_recordings()]
+        clocks = [curve.sample_times for curve in self._list_recordings_of_motions()]
         return float(np.median([np.median(np.diff(clock)) for clock in clocks])), \
             max(float(clock[-1] - clock[0]) for clock in clocks)
 
@@ -126,7 +131,11 @@ class DiagnosisData:
         found = []
         for test in self.tests:
             force, depth = self.largest_force(test), self.largest_displacement(test)
-            if test.experiment is None or self.measured[test.name][0].stressed:
+            if test.modulus:
+                # The curves are logarithms of moduli: G in shear, E = 3 G otherwise.
+                factor = 3.0 if test.kind.require_closed_form().rest else 1.0
+                found.append(float(np.exp(force)) / factor)
+            elif test.experiment is None or self.measured[test.name][0].stressed:
                 height, area = test.reference_height, test.reference_area
                 found.append(self._convert_initial_slope_to_shear_modulus(test, force * height / (area * depth)))
             elif test.experiment.tool.is_plate:

@@ -203,6 +203,10 @@ class TestErrors:
         with pytest.raises(ts.InputError, match="pre_strain requires a table of storage and loss modulus"):
             load_campaign(path)
 
+    def test_a_material_that_does_not_relax(self, tmp_path):
+        self.require_error(tmp_path, "fit.start: sweep.csv contains a loss modulus, which requires a material that "
+                           "relaxes", read=True, fit="")
+
     def test_a_modulus_that_is_not_positive(self, tmp_path):
         modulus = self.MODULUS.copy()
         modulus[3] = modulus[3].real - 1j

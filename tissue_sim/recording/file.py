@@ -17,7 +17,7 @@ import numpy as np
 from tissue_sim.bounded import run_in_sandbox
 from tissue_sim.decode import convert_to_json_types, read_json_value, require_valid_json_values
 from tissue_sim.errors import InputError, located_and_converted_errors
-from tissue_sim.experiment.kinds.kind import KINDS
+from tissue_sim.experiment.kinds.kind import KINDS, has_modulus_channels
 from tissue_sim.files import open_input_file, write_bytes, write_text
 from tissue_sim.recording.formats import FORMATS
 from tissue_sim.recording.recording import CHANNELS, LABELS, LOADS, MOTIONS, Recording, add_time_or_motion_from_speed
@@ -211,7 +211,7 @@ def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
 
 
 def _require_channels_of_kind(recording: Recording, kind: str | None, path: Path) -> None:
-    """Require the channels of the kind of test; if the kind is None, a motion and a load.
+    """Require the channels of the kind of test; if the kind is None, a motion and a load, or those of moduli.
 
     Raises:
         InputError: a channel is missing.
@@ -219,6 +219,8 @@ def _require_channels_of_kind(recording: Recording, kind: str | None, path: Path
     has = ", ".join(recording.channels)
     if kind is not None:
         KINDS.find(kind, "kind").require_channels(recording.channels, f"this file has {has}", file=path)
+        return
+    if has_modulus_channels(recording.channels):
         return
     for words, names in (("a motion", tuple(MOTIONS)), ("a load", LOADS)):
         if not any(name in recording for name in names):

@@ -39,6 +39,15 @@ MODULUS_PAIRS = (MODULI, ("storage modulus", "loss factor"), ("complex modulus",
 SHEAR_STRESS = ("shear strain", "nominal stress")
 
 
+def has_modulus_channels(present: Any) -> bool:
+    """Return whether channels are those of a table of moduli: a frequency and two moduli, or one and the loss factor.
+
+    Args:
+        present: names of the channels.
+    """
+    return any({"frequency", *pair} <= set(present) for pair in MODULUS_PAIRS)
+
+
 @dataclass(frozen=True)
 class FaceInterface:
     """Default interface of one face in a kind of test, and who may change it; see `tissue_sim.experiment.contact_law`.
@@ -292,7 +301,7 @@ class TestKind:
         Raises:
             InputError: the recording has none of the alternatives.
         """
-        if self.closed_form is not None and any({"frequency", *pair} <= set(present) for pair in MODULUS_PAIRS):
+        if self.closed_form is not None and has_modulus_channels(present):
             return
         if not any(set(names) <= set(present) for names in self.channels):
             needs = " or ".join(" and ".join(map(repr, dict.fromkeys(names))) for names in self.channels)
