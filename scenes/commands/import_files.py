@@ -33,7 +33,10 @@ _CHANNELS = {"time": "time", "displacement": "displacement", "force": "force", "
              "strain": "strain", "shear_strain": "shear strain", "shear strain": "shear strain",
              "stress": "nominal stress", "nominal_stress": "nominal stress", "nominal stress": "nominal stress",
              "temperature": "temperature", "angle": "angle", "torque": "torque", "displacement_2": "displacement 2",
-             "force_2": "force 2", "stretch_2": "stretch 2", "strain_2": "strain 2", "stress_2": "nominal stress 2"}
+             "force_2": "force 2", "stretch_2": "stretch 2", "strain_2": "strain 2", "stress_2": "nominal stress 2",
+             "frequency": "frequency",
+             "storage_modulus": "storage modulus", "loss_modulus": "loss modulus", "loss_factor": "loss factor",
+             "complex_modulus": "complex modulus"}
 #: Sizes of a specimen that are allowed without --shape.
 _GENERAL_SIZES = ("radius_mm", "area_mm2", "height_mm")
 #: Flags that become keys of the tests in the campaign.

@@ -94,6 +94,17 @@ def test_the_unit_that_no_header_states_is_asked_for(tmp_path):
     assert imported.missing == ("the unit of column 'Frequency' (frequency) (--unit frequency=...)",)
 
 
+def test_columns_and_units_that_the_user_states(tmp_path, capsys):
+    path = write(tmp_path, "x,y,z,t", OMEGA, G.real / 1e3, G.imag / 1e3, 20.0 + 0 * OMEGA)
+    stated = {"--column": ("frequency=1", "storage_modulus=y", "loss_modulus=C"),
+              "--unit": ("frequency=rad/s", "storage_modulus=kPa", "loss_modulus=kPa"), "--kind": ("simple_shear",)}
+    flags = [part for flag, values in stated.items() for value in values for part in (flag, value)]
+    assert main(["import", str(path), "-o", str(tmp_path / "c.toml"), *flags]) == 0, capsys.readouterr()
+    curve, = calibration.read_measured_curves(calibration.load_campaign(tmp_path / "c.toml"))["a loss modulus"]
+    np.testing.assert_allclose(curve.displacement, FREQUENCY, rtol=1e-7)
+    np.testing.assert_allclose(np.exp(curve.force), G.imag, rtol=1e-7)
+
+
 def test_moduli_without_a_letter_need_a_kind(tmp_path):
     imported = load(write(tmp_path, "Frequency (Hz),Storage modulus (Pa),Loss modulus (Pa)", FREQUENCY, G.real, G.imag))
     assert imported.missing == ("the kind of test (--kind)",)

@@ -22,6 +22,7 @@ from tissue_sim.recording.formats.kind_guess import (
     make_kind_assumption,
 )
 from tissue_sim.recording.formats.kind_words import KindHint, find_named_tests
+from tissue_sim.recording.formats.pairing import find_column_position_or_none
 from tissue_sim.recording.formats.sources import FileContent, NumberTable
 from tissue_sim.recording.formats.table_reader import FileReaderForChosenColumns
 from tissue_sim.recording.recording import MIN_POINTS
@@ -100,7 +101,8 @@ def split_off_modulus_tables(source: FileContent, found: Sequence[NumberTable], 
     kept, groups, refused = [], [], []
     for numbers in found:
         headers = [numbers.get_column_header(position) for position in numbers.columns]
-        if hints.columns or not is_frequency_or_amplitude_sweep(headers):
+        is_named = "frequency" in hints.columns
+        if not is_named and (hints.columns or not is_frequency_or_amplitude_sweep(headers)):
             kept.append(numbers)
         elif (group := _read_modulus_table_or_none(source, numbers, hints, titles)) is None:
             refused.append((numbers, explain_refused_sweep(headers)))
@@ -114,7 +116,7 @@ def split_off_modulus_tables(source: FileContent, found: Sequence[NumberTable], 
 def _read_modulus_table_or_none(source: FileContent, numbers: NumberTable, hints: InterpretationOverrides,
                                 titles: Sequence[KindHint]) -> TableGroup | None:
     """Return the reading of a table with two moduli over frequency; None for moduli over another quantity."""
-    columns = _find_columns(numbers)
+    columns = _find_named_columns(numbers, hints) if "frequency" in hints.columns else _find_columns(numbers)
     channels = {column.channel for column in columns}
     pair = next((pair for pair in MODULUS_PAIRS if {"frequency", *pair} <= channels), None)
     if pair is None:
@@ -172,6 +174,23 @@ def _find_columns(numbers: NumberTable) -> list[ColumnGuess]:
                              and find_quantity_of_unit_or_none(unit) is not None):
             found[channel] = ColumnGuess(channel, header, place + 1, unit, channel, reason=reason)
     return list(found.values())
+
+
+def _find_named_columns(numbers: NumberTable, hints: InterpretationOverrides) -> list[ColumnGuess]:
+    """Return the columns that the user names.
+
+    Raises:
+        InputError: the table has no such column.
+    """
+    found = []
+    for channel, name in hints.columns.items():
+        place = find_column_position_or_none(numbers, name)
+        if place is None:
+            raise InputError(f"has no column {channel} = {name}", field="--column")
+        found.append(ColumnGuess(channel, numbers.get_column_header(place), place + 1,
+                                 "-" if channel == "loss factor" else numbers.get_unit_in_header_or_unit_row(place),
+                                 channel, reason="stated"))
+    return found
 
 
 def _interpret_unit_of_frequency(unit: str | None, name: str, reason: str) -> tuple[str | None, str]:
