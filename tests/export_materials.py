@@ -27,6 +27,13 @@ PARAMETERS = {
     "arruda_boyce": {"mu": 2100.0, "lambda_m": 1.7},
     "fung_demiray": {"mu": 2800.0, "b": 0.43},
 }
+#: Law of compressible foams -> parameters, SI.
+FOAMS = {
+    "hyperfoam_1": {"mu1": 1000.0, "alpha1": 4.0, "nu1": 0.2},
+    "hyperfoam_2": {"mu1": 1000.0, "alpha1": 4.0, "nu1": 0.2, "mu2": 500.0, "alpha2": -2.0, "nu2": 0.35},
+    "hyperfoam_3": {"mu1": 1000.0, "alpha1": 4.0, "nu1": 0.2, "mu2": 500.0, "alpha2": -2.0, "nu2": 0.35, "mu3": 200.0,
+                    "alpha3": 8.0, "nu3": -0.1},
+}
 #: Target -> laws that it does not have.
 MISSING = {"abaqus": {"gent", "fung_demiray"}, "calculix": {"gent", "fung_demiray", "ogden_4"},
            "febio": {"arruda_boyce"}}

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
 from tissue_sim.errors import InputError
+from tissue_sim.exports.foams import is_foam, list_foam_lines, read_foam
 from tissue_sim.exports.keyword_materials import MaterialSection, parse_data_rows, require_options, split_into_sections
 from tissue_sim.exports.target import ExportContent, ExportTarget, ImportedMaterial, format_comment_lines
 from tissue_sim.exports.unit_systems import UnitSystem
@@ -102,11 +103,14 @@ _MODULI = {"INSTANTANEOUS": "instantaneous", "LONGTERM": "long_term"}
 class AbaqusTarget(ExportTarget):
     """Keyword block of Abaqus: ``*MATERIAL`` with its elasticity, relaxation, softening and density.
 
+    Laws of compressible foams are ``*HYPERFOAM``, see `tissue_sim.exports.foams`.
+
     The hereditary integral of Abaqus acts on the Kirchhoff stress in the current configuration, that of this package on
     the second Piola-Kirchhoff stress: relaxing forces agree to first order in the strain.
 
     Attributes:
         laws: laws that have a form.
+        fewest_foam_terms: smallest order N of ``*HYPERFOAM``.
         hyperelastic_options: options of ``*HYPERELASTIC`` besides the form and its order.
         readable_keywords: keywords of a material that are read.
     """
@@ -115,10 +119,12 @@ class AbaqusTarget(ExportTarget):
     suffix = ".inp"
     parts = frozenset({"viscoelastic"})
     laws: ClassVar[frozenset[str]] = frozenset(_WRITTEN)
+    fewest_foam_terms: ClassVar[int] = 1
     softening_forms = frozenset({"erf"})
     part_remarks = {"softening": "its Mullins effect is the form 'erf', an error function in place of tanh"}
     hyperelastic_options: ClassVar[frozenset[str]] = frozenset({"MODULI"})
-    readable_keywords: ClassVar[tuple[str, ...]] = ("HYPERELASTIC", "VISCOELASTIC", "MULLINS EFFECT", "DENSITY")
+    readable_keywords: ClassVar[tuple[str, ...]] = ("HYPERELASTIC", "HYPERFOAM", "VISCOELASTIC", "MULLINS EFFECT",
+                                                   "DENSITY")
 
     def write(self, content: ExportContent) -> str:
         """Return the keyword blocks of the materials."""
@@ -137,6 +143,10 @@ class AbaqusTarget(ExportTarget):
 
     def _list_material_lines(self, material: Material, label: str, units: UnitSystem) -> list[str]:
         """Return the lines of one material."""
+        if is_foam(material.energy_law):
+            return [f"*MATERIAL, NAME={label}",
+                    *list_foam_lines(material, units, self.fewest_foam_terms, _format_value),
+                    *self._list_density_lines(material, units)]
         if material.law not in self.laws:
             raise InputError(f"{self.title} has no keyword for the law {material.law!r}; fit another law, or write a "
                              "user subroutine", field="to")
@@ -158,9 +168,12 @@ class AbaqusTarget(ExportTarget):
                 raise InputError(_MULLINS_AND_RELAXATION, field="to")
             lines += ["*MULLINS EFFECT",
                       ", ".join(map(_format_value, (1.0 / soft.loss, soft.modulus / units.stress, soft.share)))]
-        if material.density is not None:
-            lines += ["*DENSITY", _format_value(material.density / units.density)]
-        return lines
+        return [*lines, *self._list_density_lines(material, units)]
+
+    @staticmethod
+    def _list_density_lines(material: Material, units: UnitSystem) -> list[str]:
+        """Return the lines of the density; none if the material has no density."""
+        return [] if material.density is None else ["*DENSITY", _format_value(material.density / units.density)]
 
     def list_volumetric_values(self, material: Material, terms: int, units: UnitSystem) -> list[float]:
         """Return D_1 = 2/K and the values of the absent terms D_2, ..., in the units of the file.
@@ -177,6 +190,8 @@ class AbaqusTarget(ExportTarget):
     def read_material(self, section: MaterialSection, units: UnitSystem) -> ImportedMaterial:
         """Return the material of a section."""
         blocks = section.index_blocks_by_name(self.readable_keywords, self.title)
+        if "HYPERFOAM" in blocks:
+            return ImportedMaterial(self._read_foam_material(section, blocks, units))
         if "HYPERELASTIC" not in blocks:
             raise InputError(f"material {section.name} has no keyword *HYPERELASTIC. Choose another material",
                              line=section.line)
@@ -206,6 +221,20 @@ class AbaqusTarget(ExportTarget):
         except InputError as error:
             raise InputError(error.problem, line=error.line or hyperelastic.line, field=error.field) from None
         return ImportedMaterial(material, tuple(remarks))
+
+    def _read_foam_material(self, section: MaterialSection, blocks: Mapping[str, KeywordBlock],
+                            units: UnitSystem) -> Material:
+        """Return the material of a section with the keyword ``*HYPERFOAM``."""
+        if others := [name for name in blocks if name not in ("HYPERFOAM", "DENSITY")]:
+            raise InputError(f"*{others[0]} with *HYPERFOAM cannot be imported, because a compressible law here is "
+                             "elastic. Delete it", line=blocks[others[0]].line)
+        block = blocks["HYPERFOAM"]
+        law, values = read_foam(block, units, self.fewest_foam_terms, sorted(self.hyperelastic_options), self.title)
+        try:
+            return Material(law.name, values, density=self._read_density(blocks.get("DENSITY"), units),
+                            name=section.name)
+        except InputError as error:
+            raise InputError(error.problem, line=error.line or block.line, field=error.field) from None
 
     def replace_absent_volumetric_values(self, D: Sequence[float], mu0: float) -> Sequence[float]:
         """Return the numbers D_i with which the program computes, in the units of the file.

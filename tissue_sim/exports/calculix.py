@@ -28,11 +28,12 @@ class CalculixTarget(AbaqusTarget):
     verification = "run in the target"
     parts = frozenset()
     laws = AbaqusTarget.laws - {"ogden_4"}  # OGDEN has N = 1 to 3
+    fewest_foam_terms = 2  # no stress for N = 1: the condition on the order in rubber.f excludes it
     softening_forms = frozenset()
     part_remarks = {"viscoelastic": "it has no keyword *VISCOELASTIC", "softening": "it has no Mullins effect"}
     incompressible_bulk_ratio = 1e4
     hyperelastic_options = frozenset()
-    readable_keywords = ("HYPERELASTIC", "DENSITY")
+    readable_keywords = ("HYPERELASTIC", "HYPERFOAM", "DENSITY")
 
     def list_volumetric_values(self, material: Material, terms: int, units: UnitSystem) -> list[float]:
         """Return D_1 = 2/K and the values of the absent terms, in the units of the file.

@@ -6,7 +6,7 @@ import subprocess
 
 import numpy as np
 import pytest
-from export_materials import LAWS, PARAMETERS, chain_pressure, read, write
+from export_materials import FOAMS, LAWS, PARAMETERS, chain_pressure, read, write
 
 import tissue_sim as ts
 from tissue_sim.exports.calculix import CALCULIX
@@ -168,3 +168,13 @@ def test_calculix_computes_with_the_imported_default(tmp_path):
 def test_refused_cards(options, row, words):
     with pytest.raises(ts.InputError, match=words):
         CALCULIX.read(f"*MATERIAL, NAME=GEL\n*HYPERELASTIC{options}\n{row}\n", SI)
+
+
+@pytest.mark.parametrize("units", UNIT_SYSTEMS)
+@pytest.mark.parametrize("law", FOAMS)
+def test_force_of_foams(law, units, tmp_path):
+    """The cube has one unit of length; `hyperfoam_1` is written with two halves of its term."""
+    material = ts.Material(law, FOAMS[law], density=30.0, name="GEL")
+    force = total_forces(run(CUBE.format(material=write(CALCULIX, material, units)), tmp_path))[-1, 2]
+    expected = material.energy_law.nominal_stress(0.8, FOAMS[law]) / UNIT_SYSTEMS[units].stress
+    assert force == pytest.approx(expected, rel=1e-6)

@@ -2,6 +2,7 @@
 
 import pytest
 from export_materials import (
+    FOAMS,
     LAWS,
     MISSING,
     PARAMETERS,
@@ -16,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.exports import ExportContent
+from tissue_sim.exports import EXPORTERS, ExportContent
 from tissue_sim.exports.abaqus import ABAQUS
 from tissue_sim.exports.calculix import CALCULIX
 from tissue_sim.exports.febio import FEBIO
@@ -114,3 +115,39 @@ def test_a_law_that_a_target_does_not_have_is_refused_by_name(name, law):
 def test_a_target_without_import_is_refused_by_name():
     with pytest.raises(ts.InputError, match="cannot be imported"):
         read(FunctionTarget("another program", str), "")
+
+
+@pytest.mark.parametrize("name", ["abaqus", "calculix"])
+@pytest.mark.parametrize("law", FOAMS)
+def test_round_trip_of_foams(name, law):
+    for units in UNIT_SYSTEMS:
+        require_same_after_round_trip(TARGETS[name], ts.Material(law, FOAMS[law], density=30.0, name="GEL"), units)
+
+
+def test_foams_of_abaqus_written_by_hand():
+    """mu_1, alpha_1, ..., nu_1, ..., at most 8 on a line."""
+    text = write(ABAQUS, ts.Material("hyperfoam_3", FOAMS["hyperfoam_3"], name="GEL"))
+    rows = text[text.index("*HYPERFOAM"):].splitlines()
+    assert rows[0] == "*HYPERFOAM, N=3"
+    assert [[float(word) for word in row.split(",")] for row in rows[1:]] == [
+        [1000.0, 4.0, 500.0, -2.0, 200.0, 8.0, 0.2, 0.35], [-0.1]]
+
+
+@pytest.mark.parametrize(("name", "text", "message"), [
+    ("abaqus", "*HYPERFOAM, N=4\n1, 2\n", "the order N of HYPERFOAM must be 1 to 3 in Abaqus; got 4"),
+    ("calculix", "*HYPERFOAM, N=1\n1000, 4, 0.2\n", "state the term twice, each with half of mu"),
+    ("abaqus", "*HYPERFOAM, N=1, TEST DATA INPUT\n", "the option TEST DATA INPUT"),
+    ("abaqus", "*HYPERFOAM\n1000, 4, 0.5\n", "must be within"),
+    ("abaqus", "*HYPERFOAM\n1000, 4, 0.2\n*VISCOELASTIC, TIME=PRONY\n0.2, 0.2, 1\n",
+     r"\*VISCOELASTIC with \*HYPERFOAM cannot be imported"),
+])
+def test_foams_that_cannot_be_imported(name, text, message):
+    with pytest.raises(ts.InputError, match=message):
+        TARGETS[name].read(f"*MATERIAL, NAME=GEL\n{text}", SI)
+
+
+def test_targets_without_foams():
+    foam = ts.Material("hyperfoam_1", FOAMS["hyperfoam_1"])
+    for target in ("febio", "sofa", "felupe"):
+        with pytest.raises(ts.InputError, match="hyperfoam_1"):
+            EXPORTERS[target].write(ExportContent((foam,)))
