@@ -27,4 +27,4 @@ EQUIBIAXIAL_TENSION = TestKind(
     name="equibiaxial_tension", title="Equibiaxial tension", tool=None, sign=1.0,
     channels=(DISPLACEMENT_FORCE, STRETCH_STRESS), closed_form=EQUIBIAXIAL, size_names=_SHEET, title_words=(
         r"(e|a|ae)qui ?biax\w*( (tension|tensile|extension|zug\w*|test\w*))?", r"gleichbiax\w*"),
-    file_words=("eb", "ebt"))
+    file_words=("eb", "ebt", r"et(?=(?: \d+)*$)"))

@@ -17,7 +17,7 @@ from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
 from tissue_sim.recording.formats.guesses import ColumnGuess, KindGuess
 from tissue_sim.recording.formats.kind_words import KindHint, KnownTestWithoutKind, NamedTest, find_named_tests
 from tissue_sim.recording.formats.sources import FileContent, NumberTable
-from tissue_sim.recording.formats.vocabulary import MachineFormat
+from tissue_sim.recording.formats.vocabulary import MachineFormat, normalize_header_text
 from tissue_sim.recording.recording import LOADS, MOTIONS, Recording
 
 
@@ -244,6 +244,8 @@ def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], 
     by_columns, by_words = _guess_kind_by_shear_strain_or_stretch(recordings, columns), _guess_by_words(named, hints)
     if by_words is not None and columns and _needs_other_axis(by_words, columns):
         return _refuse_kind_without_other_axis(by_words, named)
+    if by_columns is None and by_words is not None and _is_motion_normal_to_shear(by_words, columns):
+        return KindGuess(None, "the gap is a motion along the axis of the plates", against=(by_words.reason,))
     if by_columns is not None and by_words is not None and by_columns.kind != by_words.kind:
         return _select_kind_by_columns_or_words(by_columns, by_words, columns)
     found = by_columns or by_words or _guess_compression_by_negative_signs(recordings, columns, machine)
@@ -264,6 +266,13 @@ def _refuse_kind_without_other_axis(guess: KindGuess, named: Sequence[NamedTest]
         "a test of two axes, and the table has one axis. Name the columns of both with --column, or state --kind "
         "equibiaxial_tension if both stretches are equal"))
     return KindGuess(None, guess.reason, refused=replace(own, kind=None, unknown=unknown))
+
+
+def _is_motion_normal_to_shear(guess: KindGuess, columns: Sequence[ColumnGuess]) -> bool:
+    """Return whether a guessed shear contradicts a displacement that is the gap, which is the thickness in shear."""
+    kind = KINDS[guess.kind or ""]
+    return kind.closed_form is not None and kind.closed_form.rest == 0.0 and any(
+        column.channel == "displacement" and normalize_header_text(column.header) == "gap" for column in columns)
 
 
 def _select_kind_by_columns_or_words(by_columns: KindGuess, by_words: KindGuess,

@@ -210,7 +210,8 @@ def interpret_file(path: str | Path, hints: InterpretationOverrides | None = Non
         raise InputError(text, file=path)
     tables = _make_tables_with_statements(source, found, tables, hints)
     with located_and_converted_errors(file=path):
-        together = group_replicate_recording_columns(tables)
+        together = [part for same in group_replicate_recording_columns(tables)
+                    for part in _split_by_positions_if_headers_repeat(same)]
         parts = [_interpret_tables_with_equal_columns(
             source, same, hints, machine, titles, _list_unused_headers(same[0].numbers, tables)) for same in together]
         readings, refused = _split_off_unregistered_tests([one for several, _ in parts for one in several], hints)
@@ -442,6 +443,16 @@ def _list_unused_headers(numbers: NumberTable, tables: Sequence[RecordingColumns
     used = {column.place for group in tables if group.numbers is numbers for column in group.columns}
     return tuple(numbers.get_column_header(position) or str(position + 1)
                  for position in numbers.columns if position + 1 not in used)
+
+
+def _split_by_positions_if_headers_repeat(groups: list[RecordingColumns]) -> list[list[RecordingColumns]]:
+    """Return tables with equal headers in lists that are read at once: all by their headers, or by their positions."""
+    if _do_headers_identify_columns(groups):
+        return [groups]
+    by_positions: dict[tuple[int, ...], list[RecordingColumns]] = {}
+    for group in groups:
+        by_positions.setdefault(tuple(column.place for column in group.columns), []).append(group)
+    return list(by_positions.values())
 
 
 def _do_headers_identify_columns(groups: Sequence[RecordingColumns]) -> bool:

@@ -30,7 +30,7 @@ _WORDS: dict[str, tuple[str, ...]] = {
     "time": (r"test time|running time|prüfzeit|elapsed time|total time",
              r"time|zeit|temps|tiempo|tempo|tijd|timestamp|t|sec|seconds", r"step time|segment time"),
     "stretch": (r"stretch|stretch ratio|lambda|λ|streckung",),
-    "shear strain": (r"shear strain|shr strain|gamma|γ|scherung|schiebung|scherdehnung",),
+    "shear strain": (r"shear strain|shr strain|gamma|γ|scherung|schiebung|scherdehnung|^shear$",),
     "strain": (r"engineering strain|nominal strain|compressive strain|tensile strain|technische dehnung",
                r"strain|dehnung|umformgrad|stauchung|nominal deformation|déformation|deformación|eps|epsilon|ε"),
     "stress": (r"engineering stress|nominal stress|first piola|pk1",
