@@ -97,3 +97,22 @@ def test_a_header_shear_with_a_ratio_is_a_shear_strain(tmp_path):
     path = write_table(tmp_path, "steak.csv", "Shear,Stress\n[-],[kPa]", strain, 20.0 * strain)
     imported = calibration.import_files([path])
     assert imported.tests[0].kind == "simple_shear" and imported.is_complete
+
+
+def test_the_gap_of_a_rheometer_is_counted_from_its_first_value(tmp_path):
+    """Cycles between the plates: the gap falls from 9 to 5 mm and returns; it is no oscillation about 7 mm."""
+    time = np.linspace(0.0, 40.0, 401)
+    depth = 2.0 * (1.0 - np.cos(2 * np.pi * time / 8.0))
+    path = write_table(tmp_path, "foam-confcomp-1.csv", "Time (s),Encoder (rad),Torque (Nm),Normal force (N),Gap (um)",
+                       time, 0.0 * time, 0.0 * time, 2.0 * depth, 1e3 * (9.0 - depth))
+    imported = calibration.import_files([path])
+    assert imported.tests[0].kind == "confined_compression"
+    motion, = imported.tests[0].parts[0].motions
+    assert motion.reach == pytest.approx((4e-3, 0.0), abs=1e-9) and motion.loading_cycle_count == 5
+
+
+@pytest.mark.parametrize("header", ["Creep Compliance", "Relaxation Modulus"])
+def test_a_compliance_or_modulus_over_time_is_refused_with_the_remedy(tmp_path, header):
+    path = write_table(tmp_path, "table.csv", f"Time,{header}", STRETCH, STRETCH)
+    with pytest.raises(ts.InputError, match=r"holds a ratio of strain and stress .* multiply a compliance by"):
+        calibration.import_files([path])

@@ -13,7 +13,8 @@ _HELD = FaceInterface("bonded", fixed=True)
 #: The fluid of a porous specimen leaves through the platen.
 CONFINED_COMPRESSION = TestKind(
     name="confined_compression", title="Confined compression", tool=Plate(), has_lateral_wall=True, face=_HELD,
-    base=_HELD, sign=-1.0, channels=(DISPLACEMENT_FORCE, STRETCH_STRESS), closed_form=CONFINED, title_words=(
+    base=_HELD, sign=-1.0, channels=(DISPLACEMENT_FORCE, STRETCH_STRESS), closed_form=CONFINED,
+    file_words=("conf ?comp",), title_words=(
         r"confined( compress\w*)?", r"confining", r"confinement", r"porous (platens?|plates?|filters?)",
         r"(radially |laterally )?(confined|constrained|restrained) compress\w*", r"compress\w* confinee?",
         r"confinee?", r"o?edomet\w*", r"laterally (confined|constrained|restrained)", r"uniaxial strain",

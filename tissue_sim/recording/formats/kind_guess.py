@@ -19,6 +19,7 @@ from tissue_sim.recording.formats.kind_words import KindHint, KnownTestWithoutKi
 from tissue_sim.recording.formats.sources import FileContent, NumberTable
 from tissue_sim.recording.formats.vocabulary import MachineFormat, normalize_header_text
 from tissue_sim.recording.recording import LOADS, MOTIONS, Recording
+from tissue_sim.units import split_header_and_known_unit
 
 
 @dataclass(frozen=True)
@@ -73,7 +74,8 @@ def _set_sign_and_zero_of_displacement_column(column: ColumnGuess, recordings: S
                                               starts: Sequence[float | None], stated: Collection[str]) -> ColumnGuess:
     """Return the column of the displacement with its sign and zero; see `set_column_signs_and_zeros`."""
     displacements = [each.channel(column.channel) for each in recordings]
-    static = [] if column.channel != "displacement" else [
+    # A gap that oscillates shows cycles of compression, and its mean is no displacement.
+    static = [] if column.channel != "displacement" or _is_gap(column) else [
         offset for each in recordings if (offset := _compute_mean_displacement_if_oscillating(each)) is not None]
     if 2 * len(static) > len(recordings):
         return column if "displacement" in stated or sum(static) >= 0 else replace(
@@ -272,7 +274,12 @@ def _is_motion_normal_to_shear(guess: KindGuess, columns: Sequence[ColumnGuess])
     """Return whether a guessed shear contradicts a displacement that is the gap, which is the thickness in shear."""
     kind = KINDS[guess.kind or ""]
     return kind.closed_form is not None and kind.closed_form.rest == 0.0 and any(
-        column.channel == "displacement" and normalize_header_text(column.header) == "gap" for column in columns)
+        column.channel == "displacement" and _is_gap(column) for column in columns)
+
+
+def _is_gap(column: ColumnGuess) -> bool:
+    """Return whether the header of a column is the gap of a rheometer: the distance between its plates."""
+    return normalize_header_text(split_header_and_known_unit(column.header)[0]) == "gap"
 
 
 def _select_kind_by_columns_or_words(by_columns: KindGuess, by_words: KindGuess,

@@ -117,6 +117,9 @@ def explain_missing_columns(found: Sequence[NumberTable], machine: MachineFormat
     if any({f"{word}1", f"{word}2"} <= set(bare) for word in ("lambda", "stretch", "λ")):
         return (f"is a biaxial test ({has}), of which a motion or a load is missing; name the columns of both axes "
                 "with --column. Rows with a stress-free second axis are of kind uniaxial_tension")
+    if any(name in ("creepcompliance", "relaxationmodulus") for name in bare):
+        return (f"holds a ratio of strain and stress over time ({has}), from which a test is not read; multiply a "
+                "compliance by the held stress, or a modulus by the held strain, and add a column of the held quantity")
     sizes = {position for position, _ in iterate_constant_size_columns(numbers)}
     known = {role for position in numbers.columns if position not in sizes
              if (
