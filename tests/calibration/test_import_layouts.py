@@ -5,6 +5,7 @@ import openpyxl
 import pytest
 
 import calibration
+import tissue_sim as ts
 
 STRETCH = np.linspace(1.0, 1.5, 21)
 
