@@ -69,6 +69,10 @@ def require_closed_form_support_if_used(test: Test, material: Material, stressed
                   else "set fit.method = 'inverse_fem'")
         raise InputError(f"{path.name} is computed by a closed form, which requires a homogeneous specimen; for a "
                          f"layered specimen {remedy}", field="kind")
+    form = test.kind.closed_form
+    if form is not None and material.is_history_dependent and not form.has_history:
+        raise InputError(f"{test.name} requires a material without memory, because its closed form has none. Leave out "
+                         "relaxation, softening and drainage, or use a kind without this load", field="kind")
     if test.specimen is None and material.poroelasticity is not None:
         raise InputError("a poroelastic material requires the size of the specimen; add a [[specimen]]",
                          field="specimen")

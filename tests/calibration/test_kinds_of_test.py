@@ -73,6 +73,30 @@ def test_torsion_has_no_noise_of_a_force(tmp_path):
     assert 0.85 < result.best.noise_ratio < 1.15
 
 
+def test_torsion_with_axial_force_determines_both_parameters(tmp_path):
+    """The torque determines C10 + C01, the axial force C10 + 2 C01."""
+    noise = np.random.default_rng(6)
+    angle = np.linspace(0.0, 1.0, 61)
+    torque, force = compute_torque_and_axial_force(LAW, TRUTH, angle / HEIGHT, RADIUS)
+    write_recording(tmp_path, "torsion_axial_force", angle=angle, torque=torque + noise.normal(0.0, 1e-5, angle.size),
+                    force=-force + noise.normal(0.0, 1e-3, angle.size))
+    path = write_campaign(tmp_path, ("torsion_axial_force",), 'laws = ["mooney_rivlin"]')
+    best = calibration.calibrate([path], tmp_path / "out", figures=False)[0].best
+    assert best.parameters == pytest.approx(TRUTH, rel=5e-3)
+    for name, value in TRUTH.items():
+        assert abs(best.parameters[name] - value) < 4 * best.standard_errors[name]
+
+
+def test_axial_force_with_memory_is_refused(tmp_path):
+    angle = np.linspace(0.0, 1.0, 61)
+    torque, force = compute_torque_and_axial_force(LAW, TRUTH, angle / HEIGHT, RADIUS)
+    write_recording(tmp_path, "torsion_axial_force", angle=angle, torque=torque, force=-force)
+    path = write_campaign(tmp_path, ("torsion_axial_force",), 'laws = ["mooney_rivlin"]\nstart = { '
+                          '"viscoelastic.terms[0].g" = 0.3, "viscoelastic.terms[0].tau" = 10.0 }')
+    with pytest.raises(ts.InputError, match="torsion_axial_force axial force requires a material without memory"):
+        calibration.calibrate([path], tmp_path / "out", figures=False)
+
+
 def test_torsion_needs_a_cylinder(tmp_path):
     angle = np.linspace(0.0, 1.0, 61)
     write_recording(tmp_path, "torsion", angle=angle, torque=1e-3 * angle)

@@ -81,7 +81,8 @@ def test_stress_is_against_the_strain(name):
     """Slope at small strain: 3 mu uniaxial, mu in shear and torsion, 4 mu at constant width, 6 mu equibiaxial."""
     kind, law, values = ts.KINDS[name], ts.find_law("neo_hooke"), {"C10": 500.0}
     small = kind.convert_nominal_strain_to_stretch_or_shear_strain(np.array([1e-6]))
-    factors = {"simple_shear": 1.0, "torsion": 1.0, "planar_tension": 4.0, "equibiaxial_tension": 6.0}
+    factors = {"simple_shear": 1.0, "torsion": 1.0, "torsion_axial_force": 1.0, "planar_tension": 4.0,
+               "equibiaxial_tension": 6.0}
     modulus = 1000.0 * factors.get(name, 3.0)
     assert kind.sign * kind.closed_form.stress(law, small, values) == pytest.approx(modulus * 1e-6, rel=1e-4)
     assert kind.closed_form.slope(law, small, values) == pytest.approx(modulus, rel=1e-4)

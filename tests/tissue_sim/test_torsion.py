@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.closed_form.torsion import TORSION, compute_torque_and_axial_force
+from tissue_sim.closed_form.torsion import TORSION, TORSION_WITH_AXIAL_FORCE, compute_torque_and_axial_force
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.solid import create_cylinder_mesh
@@ -46,6 +46,22 @@ def test_torque_and_force_are_derivatives_of_the_energy(name, stretch):
     torque, force = compute_torque_and_axial_force(law, values, psi, RADIUS, stretch)
     assert torque == pytest.approx((energy(psi + 1e-3, stretch) - energy(psi - 1e-3, stretch)) / 2e-3, rel=1e-6)
     assert force == pytest.approx((energy(psi, stretch + 1e-5) - energy(psi, stretch - 1e-5)) / 2e-5, rel=1e-6)
+
+
+@EVERY
+def test_axial_force_of_the_calibration(name):
+    """-N / (pi a^2), its slope and its parameter derivatives; the first load is the torque."""
+    law, values, gamma = ts.find_law(name), np.array(list(LAWS[name].values())), np.array([-0.8, 0.0, 0.3, 1.5])
+    form = TORSION_WITH_AXIAL_FORCE.select_load(1)
+    _, force = compute_torque_and_axial_force(law, values, gamma / RADIUS, RADIUS)
+    np.testing.assert_allclose(form.stress(law, gamma, values), -force / (np.pi * RADIUS**2), rtol=1e-10, atol=1e-10)
+    ahead, behind = (form.stress(law, gamma + step, values) for step in (1e-4, -1e-4))
+    np.testing.assert_allclose(form.slope(law, gamma, values), (ahead - behind) / 2e-4, rtol=1e-6, atol=1e-4)
+    derivatives = form.stress_parameter_derivatives(law, gamma, values)
+    for i, step in enumerate(1e-4 * np.diag(np.abs(values))):
+        numeric = (form.stress(law, gamma, values + step) - form.stress(law, gamma, values - step)) / (2 * step[i])
+        np.testing.assert_allclose(derivatives[:, i], numeric, rtol=1e-6, atol=1e-9)
+    np.testing.assert_array_equal(form.select_load(1).stress(law, gamma, values), TORSION.stress(law, gamma, values))
 
 
 @EVERY

@@ -44,6 +44,11 @@ class ClosedForm:
         """Whether a column under its own weight has a closed form; see `tissue_sim.closed_form.column`."""
         return self.law_mode == "uniaxial"
 
+    @property
+    def has_history(self) -> bool:
+        """Whether `stress_history` exists."""
+        return True
+
     def select_load(self, number: int) -> ClosedForm:
         """Return the closed form of one of several loads; see `tissue_sim.TestKind.select_load`.
 

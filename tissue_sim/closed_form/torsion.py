@@ -10,7 +10,7 @@ Source: R. S. Rivlin, Phil. Trans. R. Soc. A 242 (1949) 173; Ogden, Non-linear E
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 
 #: Number of Gauss points along the radius; the stress of the laws is smooth in it.
 RADIAL_POINTS = 12
+#: Step of the shear strain in the derivative of the axial stress.
+SHEAR_STEP = 1e-5
 
 
 @lru_cache
@@ -107,6 +109,76 @@ class TorsionForm(ClosedForm):
         return motion * specimen.radius / specimen.height, 2.0 * load / (np.pi * specimen.radius**3)
 
 
+@dataclass(frozen=True)
+class AxialForceForm(TorsionForm):
+    """Load 0: 2 M / (pi a^3). Load 1: -N / (pi a^2), where -N pushes the ends apart; over the shear strain at the rim.
+
+    Load 1 is int_0^1 (s_tt - 2 s_zz) x dx, with the normal stresses s minus the radial one in a simple shear gamma x.
+    For Mooney-Rivlin it is gamma^2 (C10 + 2 C01) / 2.
+
+    Attributes:
+        load: index of the load, 0 or 1.
+    """
+
+    load: int = 0
+
+    @property
+    def has_history(self) -> bool:
+        """Whether `stress_history` exists: that of the torque."""
+        return self.load == 0
+
+    def select_load(self, number: int) -> AxialForceForm:
+        """Return the closed form of the load that follows this one by `number`."""
+        return replace(self, load=(self.load + number) % 2)
+
+    def _average_normal_stress(self, evaluate: Callable, shear: np.ndarray) -> np.ndarray:
+        """Return load 1 of the nominal stresses `evaluate(stretches)`, of shapes (..., 2) or (..., 2, m)."""
+        import numpy as np
+
+        def compute_difference(shear: np.ndarray) -> np.ndarray:
+            """Return s_tt - 2 s_zz; the principal stretches are l, 1/l and, radially, 1."""
+            largest = np.hypot(1.0, shear / 2.0) + shear / 2.0
+            stretch = np.stack([largest, 1.0 / largest], axis=-1)
+            nominal = np.asarray(evaluate(stretch))
+            first, second = np.moveaxis(nominal.reshape(*stretch.shape, -1) * stretch[..., None], -2, 0)
+            cosine = (shear / np.hypot(2.0, shear))[..., None]  # of twice the angle of the first principal axis
+            found = 1.5 * cosine * (first - second) - 0.5 * (first + second)
+            return found if nominal.ndim > stretch.ndim else found[..., 0]
+
+        return 0.25 * self._average(compute_difference, shear, 1)
+
+    def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+        """Return the stress of the load, Pa, shape of `abscissa`."""
+        _require_constant_volume(law)
+        return super().stress(law, abscissa, values) if self.load == 0 else self._average_normal_stress(
+            lambda both: law.nominal_stress(both, values, "biaxial"), abscissa)
+
+    def slope(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+        """Return the derivative of `stress` with respect to the abscissa, Pa; of load 1 by central differences."""
+        return super().slope(law, abscissa, values) if self.load == 0 else (
+            self.stress(law, abscissa + SHEAR_STEP, values)
+            - self.stress(law, abscissa - SHEAR_STEP, values)) / (2.0 * SHEAR_STEP)
+
+    def stress_parameter_derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
+        """Return the derivatives of `stress` with respect to m parameters, shape (..., m)."""
+        return super().stress_parameter_derivatives(law, abscissa, values) if self.load == 0 else \
+            self._average_normal_stress(lambda both: law.nominal_stress_parameter_derivatives(both, values, "biaxial"),
+                                        abscissa)
+
+    def stress_history(self, material: Material, time: np.ndarray, abscissa: np.ndarray,
+                       contact_radius: float) -> np.ndarray:
+        """Return 2 M / (pi a^3) with memory; raise an `InputError` for the axial force, which has no such model."""
+        if self.load == 0:
+            return super().stress_history(material, time, abscissa, contact_radius)
+        raise InputError("must be elastic with an axial force. Use the kind torsion for the torque alone", field="kind")
+
+    def convert_motion_and_load(self, specimen: Specimen, motion: np.ndarray,
+                                load: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Return shear strain at the rim and the stress of the load, Pa, of an angle, rad, and a load, N m or N."""
+        found = super().convert_motion_and_load(specimen, motion, load)
+        return found if self.load == 0 or found is None else (found[0], load / specimen.area)
+
+
 def _require_constant_volume(law: Law) -> None:
     """Raise an `InputError` for a compressible law, whose radius is not known in advance."""
     if law.is_compressible:
@@ -116,6 +188,8 @@ def _require_constant_volume(law: Law) -> None:
 
 #: Torsion of a cylinder at constant length.
 TORSION = TorsionForm("simple_shear", "planar", rest=0.0, label="shear strain at the rim [-]")
+#: Torsion of a cylinder at constant length, with torque and axial force.
+TORSION_WITH_AXIAL_FORCE = AxialForceForm("simple_shear", "planar", rest=0.0, label="shear strain at the rim [-]")
 
 
 def compute_torque_and_axial_force(law: Law, values: Any, twist: Any, radius: float,

@@ -350,6 +350,7 @@ KINDS: Registry[TestKind] = Registry("kind of test", "tissue_sim.kinds", {
     "uniaxial_tension": "tissue_sim.experiment.kinds.standard_tests:TENSION",
     "simple_shear": "tissue_sim.experiment.kinds.standard_tests:SHEAR",
     "torsion": "tissue_sim.experiment.kinds.torsion:TORSION_TEST",
+    "torsion_axial_force": "tissue_sim.experiment.kinds.torsion:TORSION_AXIAL_FORCE",
     "planar_tension": "tissue_sim.experiment.kinds.sheet_tension:PLANAR_TENSION",
     "equibiaxial_tension": "tissue_sim.experiment.kinds.sheet_tension:EQUIBIAXIAL_TENSION",
     "biaxial_tension": "tissue_sim.experiment.kinds.biaxial_tension:BIAXIAL_TENSION",
