@@ -87,6 +87,21 @@ def test_torsion_with_axial_force_determines_both_parameters(tmp_path):
         assert abs(best.parameters[name] - value) < 4 * best.standard_errors[name]
 
 
+def test_torsion_with_axial_force_is_imported_by_named_columns(tmp_path):
+    angle = np.linspace(0.0, 1.0, 21)
+    torque, force = compute_torque_and_axial_force(LAW, TRUTH, angle / HEIGHT, RADIUS)
+    path = tmp_path / "a.csv"
+    path.write_text("Angle (rad),Torque (mN m),Normal force (N)\n" + "".join(
+        f"{a:.6g},{1e3 * b:.6g},{-c:.6g}\n" for a, b, c in zip(angle, torque, force, strict=True)), encoding="utf-8")
+    hints = calibration.InterpretationOverrides(
+        kind="torsion_axial_force", columns={"angle": "Angle", "torque": "Torque", "force": "Normal force"})
+    imported = calibration.import_files([path], tmp_path / "study.toml", calibration.ImportOptions(
+        hints, specimen={"radius_mm": 10.0, "height_mm": 12.0}, laws=("mooney_rivlin",)))
+    assert imported.is_complete, (imported.missing, imported.problem)
+    result, = calibration.calibrate([tmp_path / "study.toml"], tmp_path / "out", figures=False)
+    assert result.best.parameters == pytest.approx(TRUTH, rel=1e-4)
+
+
 def test_axial_force_with_memory_is_refused(tmp_path):
     angle = np.linspace(0.0, 1.0, 61)
     torque, force = compute_torque_and_axial_force(LAW, TRUTH, angle / HEIGHT, RADIUS)

@@ -244,8 +244,8 @@ def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], 
     if refused is not None:
         return KindGuess(None, f"{refused.word!r} {refused.where}", refused=refused)
     by_columns, by_words = _guess_kind_by_shear_strain_or_stretch(recordings, columns), _guess_by_words(named, hints)
-    if by_words is not None and columns and _needs_other_axis(by_words, columns):
-        return _refuse_kind_without_other_axis(by_words, named)
+    if by_words is not None and columns and _lacks_load(by_words, columns):
+        return _refuse_kind_without_all_loads(by_words, named)
     if by_columns is None and by_words is not None and _is_motion_normal_to_shear(by_words, columns):
         return KindGuess(None, "the gap is a motion along the axis of the plates", against=(by_words.reason,))
     if by_columns is not None and by_words is not None and by_columns.kind != by_words.kind:
@@ -254,19 +254,19 @@ def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], 
     return found or KindGuess(None, "the file does not state how the specimen was loaded")
 
 
-def _needs_other_axis(guess: KindGuess, columns: Sequence[ColumnGuess]) -> bool:
-    """Return whether the kind has several motions, of which the table lacks one."""
+def _lacks_load(guess: KindGuess, columns: Sequence[ColumnGuess]) -> bool:
+    """Return whether the kind has several loads, of which the table lacks one."""
     kind, channels = KINDS[guess.kind or ""], {column.channel for column in columns}
-    return kind.has_several_motions and not any(set(names) <= channels for names in kind.channels)
+    return kind.load_count > 1 and not any(set(names) <= channels for names in kind.channels)
 
 
-def _refuse_kind_without_other_axis(guess: KindGuess, named: Sequence[NamedTest]) -> KindGuess:
-    """Return the refusal of a table with one axis whose words name a kind with two axes."""
+def _refuse_kind_without_all_loads(guess: KindGuess, named: Sequence[NamedTest]) -> KindGuess:
+    """Return the refusal of a table with one load whose words name a kind with several loads."""
     own = next(each for each in named if each.kind == guess.kind)
     kind = KINDS[guess.kind or ""]
     unknown = KnownTestWithoutKind(kind.name, kind.title.lower(), (), (
-        "a test of two axes, and the table has one axis. Name the columns of both with --column, or state --kind "
-        "equibiaxial_tension if both stretches are equal"))
+        f"a test with several loads ({', '.join(kind.load_names)}), and the table has one. Name the columns with "
+        f"--column, or state --kind{' equibiaxial_tension for equal stretches' if kind.has_several_motions else ''}"))
     return KindGuess(None, guess.reason, refused=replace(own, kind=None, unknown=unknown))
 
 
