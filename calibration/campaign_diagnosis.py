@@ -233,7 +233,10 @@ def _format_campaign_with_found_effects(diagnosis: Diagnosis, after: FitEvidence
     for table in (content.get("defaults", {}), *content["test"]):
         if "recordings" in table:
             table["recordings"] = [str(folder / name) for name in table["recordings"]]
-    for table, test in zip(content["test"], campaign.tests, strict=True):
+    # A table with several loads or moduli gives several tests, which have the same experiment.
+    first_tests = {test.place: test for test in reversed(campaign.tests)}
+    for number, table in enumerate(content["test"]):
+        test = first_tests[f"test[{number}]"]
         if test.experiment is not None and test.experiment.contact_laws:
             table["contact_laws"] = {name: convert_to_file_values(law) for name,
                                      law in test.experiment.contact_laws.items()}
@@ -364,7 +367,8 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
             (*gaps, noise), sum(not row.testable for row in candidates), held_out,
             next((row for row in candidates if row.explained_percent is not None), None),
             before.common_signal_descriptions, offsets, list(proposals.significant_candidate_descriptions),
-            stressed=all(curve.stressed for curve in before.problem.measured), limits=limits),
+            stressed=all(curve.stressed for curve in before.problem.measured),
+            has_moduli=any(curve.test.modulus for curve in before.problem.measured), limits=limits),
         effects=effects, indistinguishable=judgement.indistinguishable, candidates=candidates, regions=regions,
         gap_before_N=gaps[0], gap_after_N=gaps[1], noise_N=noise,
         noise_correlation_s=float(np.mean([one.correlation_time for one in noises])),

@@ -118,6 +118,11 @@ class Test:
     pre_strain: float = 0.0
 
     @property
+    def readout(self) -> ModulusReadout | None:
+        """Readout of a table of moduli without effects of the instrument; None for recordings of a motion."""
+        return ModulusReadout() if self.modulus else None
+
+    @property
     def states_stress(self) -> bool:
         """Whether the curves of the test are strain and nominal stress: no specimen, or a kind without a force."""
         return self.specimen is None or DISPLACEMENT_FORCE not in self.kind.channels
@@ -396,7 +401,7 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
     reject_fit_and_noise_keys_without_effect(table, noise)
     check_values_finite_and_consistent(table)
     around = {test.name: get_experiment_and_rig_declarations_by_path(
-        None if test.specimen is None else test.experiment, test.rig, ModulusReadout() if test.modulus else None)
+        None if test.specimen is None else test.experiment, test.rig, test.readout)
         for test in tests}
     regions = {test.name: () if test.specimen is None else test.specimen.region_names for test in tests}
     named = resolve_campaign_parameters_by_name(table, around, regions)

@@ -245,6 +245,8 @@ def _describe_region_misfit_and_significance(region: RegionMisfitTest, curves: S
     sigma, stressed = convert_region_p_value_to_deviations(region), curves[0][0].stressed
     what, unit, factor = ("stress", "kPa", 1e-3) if stressed else ("force", "N", 1.0)
     at = f"strain {region.at:.3g}" if stressed else f"{region.at:.3g} mm"
+    if curves[0][0].test.modulus:
+        what, unit, factor, at = curves[0][0].test.modulus, "%", 100.0, f"{region.at:.3g} Hz"
     if region.segment.startswith("hold"):
         measured, error = _compute_mean_hold_change_and_error(region, curves, evidence, "data")
         modelled, _ = _compute_mean_hold_change_and_error(region, curves, evidence, "model")

@@ -341,7 +341,7 @@ def summarise_diagnosis(verdict: Verdict, effects: Sequence[FoundEffect], titles
                         regions: Sequence[SegmentMisfit], gaps: tuple[float, float | None, float], untestable: int,
                         unseen: Sequence[HeldOutPrediction] = (), nearest: CandidateResult | None = None,
                         repeated: Sequence[str] = (), offsets: Sequence[str] = (), scored: Sequence[str] = (), *,
-                        stressed: bool = False, limits: DecisionLimits = LIMITS) -> str:
+                        stressed: bool = False, has_moduli: bool = False, limits: DecisionLimits = LIMITS) -> str:
     """Summarise a diagnosis in a few sentences.
 
     Args:
@@ -357,6 +357,7 @@ def summarise_diagnosis(verdict: Verdict, effects: Sequence[FoundEffect], titles
         offsets: descriptions of contact offsets beyond their assumed scatter.
         scored: descriptions of effects with significant scores, strongest first.
         stressed: whether stress was recorded, Pa.
+        has_moduli: whether a test is a table of moduli, so that the tests have different units.
         limits: decision limits of the diagnosis.
     """
     before, after, noise = gaps
@@ -364,8 +365,9 @@ def summarise_diagnosis(verdict: Verdict, effects: Sequence[FoundEffect], titles
     if repeated:
         where.append(f"all recordings of {join_as_enumeration(repeated)} have a common signal in their residuals")
     unit, factor = ("kPa", 1e-3) if stressed else ("N", 1.0)
-    closed = "" if after is None else (f" The misfit falls from {factor * before:.2g} to {factor * after:.2g} {unit} "
-                                       f"({before / noise:.2g} to {after / noise:.2g} of the noise).")
+    of_noise = "" if after is None else f"{before / noise:.2g} to {after / noise:.2g} of the noise"
+    closed = "" if after is None else f" The misfit falls from {of_noise}." if has_moduli else (
+        f" The misfit falls from {factor * before:.2g} to {factor * after:.2g} {unit} ({of_noise}).")
     pairs = [(each.before_N, each.after_N) for each in unseen if each.before_N is not None and each.after_N is not None]
     if pairs and sum(two**2 for _, two in pairs) > limits.error_growth * sum(one**2 for one, _ in pairs):
         closed += " Data that were not fitted are predicted worse with the added effect. Do not rely on this effect."

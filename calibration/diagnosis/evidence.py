@@ -185,7 +185,9 @@ class FitEvidence:
                 words.append(f"{name} (a wave of {np.ptp(curve.sample_times[inside]) / each.waves:.2g} s)")
             elif each.last - each.first + 1 < curve.force.size and not each.waves:
                 place = float(np.mean(curve.displacement[inside]))
-                words.append(f"{name} (most at {f'strain {place:.2g}' if curve.stressed else f'{1e3 * place:.2g} mm'})")
+                at = f"{place:.2g} Hz" if curve.test.modulus else f"strain {place:.2g}" if curve.stressed \
+                    else f"{1e3 * place:.2g} mm"
+                words.append(f"{name} (most at {at})")
             else:
                 words.append(name)
         return words

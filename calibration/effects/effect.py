@@ -19,7 +19,12 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign, FitSettings, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.parameters import SHARED, ScopedCampaignParameter, get_experiment_and_rig_declarations_by_path
+from calibration.campaign.parameters import (
+    NOT_MATERIAL,
+    SHARED,
+    ScopedCampaignParameter,
+    get_experiment_and_rig_declarations_by_path,
+)
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import find_law
 from tissue_sim.material.material import (
@@ -227,10 +232,10 @@ def get_experiment(test: Test) -> Experiment:
 __getattr__ = make_getattr_for_old_names(__name__, {"experiment_of": "get_experiment", "Situation": "DiagnosisData"})
 
 #: Part of the model that an effect belongs to.
-Category = Literal["tissue", "contact", "geometry", "rig", "population"]
+Category = Literal["tissue", "contact", "geometry", "rig", "readout", "population"]
 #: All categories in the order of reports. The category determines the output file of a found effect: tissue -> material
-#: file, contact and geometry -> campaign, rig -> rig file, population -> none.
-CATEGORIES: tuple[Category, ...] = ("tissue", "contact", "geometry", "rig", "population")
+#: file, contact, geometry and readout -> campaign, rig -> rig file, population -> none.
+CATEGORIES: tuple[Category, ...] = ("tissue", "contact", "geometry", "rig", "readout", "population")
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,13 +317,13 @@ class Candidate:
         Raises:
             NotTestableError: no test of the candidate has the parameter.
         """
-        if not path.startswith(("experiment.", "rig.")):
+        if not path.startswith(NOT_MATERIAL):
             law = None if self.law is None else find_law(self.law)
             if law is not None and path in law.parameters:
                 return get_law_parameter_declaration(law, path)
             return find_parameter_path_and_declaration(path)[1]
         for test in campaign.tests:
-            found = get_experiment_and_rig_declarations_by_path(test.experiment, test.rig).get(path)
+            found = get_experiment_and_rig_declarations_by_path(test.experiment, test.rig, test.readout).get(path)
             if found is not None and (self.tests is None or test.name in self.tests):
                 return found
         raise NotTestableError(f"no test of the candidate has the parameter {path}, so this effect is not tested")
@@ -359,7 +364,7 @@ class Candidate:
         An effect of a rig or specimen also acts in held-out tests that state the same values, because they share this
         rig or specimen. Candidates of a single test (`mark`) act in this test only.
         """
-        if self.tests is None or self.mark or not all(path.startswith(("experiment.", "rig.")) for path in self.sizes):
+        if self.tests is None or self.mark or not all(path.startswith(NOT_MATERIAL) for path in self.sizes):
             return self.tests
         # All tests of the candidate state the same values, so the first represents them.
         first = next(test for test in campaign.tests if test.name == self.tests[0])
@@ -389,10 +394,9 @@ class Candidate:
         for path in values:
             declaration = self.find_parameter_declaration(campaign, path)
             of_law = path in wider
-            names = everywhere if not path.startswith(("experiment.", "rig.")) else tuple(
+            names = everywhere if not path.startswith(NOT_MATERIAL) else tuple(
                 test.name for test in campaign.tests if path in get_experiment_and_rig_declarations_by_path(
-                    test.experiment,
-                    test.rig))
+                    test.experiment, test.rig, test.readout))
             if tests is not None:
                 names = tuple(name for name in tests if name in names)
             scope = self.scope if self.tests is None or self.scope != SHARED else names
@@ -477,8 +481,10 @@ class Effect(ABC):
         Raises:
             InputError: a path does not exist in the model, or the values are invalid.
         """
+        # A readout of moduli is no part of a model.
         around = {path: value for path, value in values.items() if path.startswith(("experiment.", "rig."))}
-        within = {path.removeprefix("material."): value for path, value in values.items() if path not in around}
+        within = {path.removeprefix("material."): value for path, value in values.items()
+                  if not path.startswith(NOT_MATERIAL)}
         if self.law is not None:
             wider = {**dict.fromkeys(find_law(self.law).parameters, 0.0), **model.material.parameters}
             model = replace(model, material=replace(model.material, law=self.law, parameters=wider))
@@ -490,11 +496,12 @@ class Effect(ABC):
 def _read_test_value_or_none_if_lacking(test: Test, path: str) -> float | None:
     """Return the value that a test with a tool states for a parameter, SI; None if the test lacks the parameter."""
     part, _, inside = path.partition(".")
-    stated = parameters(getattr(test, part)).get(inside)
+    whole = getattr(test, part)
+    stated = None if whole is None else parameters(whole).get(inside)
     return None if stated is None else stated.value
 
 
-#: Name -> class, ordered by category: tissue, contact, geometry, rig, population.
+#: Name -> class, ordered by category: tissue, contact, geometry, rig, readout, population.
 CATALOGUE: Registry[type[Effect]] = Registry("effect", "tissue_sim.diagnosis_effects", {
     "strain_stiffening": "calibration.effects.tissue:StrainStiffening",
     "i2_term": "calibration.effects.tissue:I2Term",
@@ -525,6 +532,9 @@ CATALOGUE: Registry[type[Effect]] = Registry("effect", "tissue_sim.diagnosis_eff
     "guide_friction": "calibration.effects.rig:GuideFriction",
     "rate_damping": "calibration.effects.rig:RateDamping",
     "inertia": "calibration.effects.rig:Inertia",
+    "readout_inertia": "calibration.effects.readout:ReadoutInertia",
+    "readout_compliance": "calibration.effects.readout:ReadoutCompliance",
+    "readout_delay": "calibration.effects.readout:ReadoutDelay",
     "population": "calibration.effects.population:Population",
 }, accepts=lambda kind: isinstance(kind, type) and issubclass(kind, Effect),
     expected="a class that derives from calibration.effects.effect.Effect")

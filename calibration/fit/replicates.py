@@ -84,7 +84,7 @@ def find_replicate_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]
 
 def _find_disagreement_in_test(test: str, curves: Sequence[MeasuredCurve]) -> ReplicateDisagreement | None:
     """Return the disagreement of the recordings of one test; None if there is none."""
-    if len(curves) < 2:
+    if len(curves) < 2 or curves[0].test.modulus:
         return None
     sizes = compute_mean_forces_or_none([(curve.displacement, curve.force) for curve in curves])
     if sizes is None:
@@ -198,7 +198,7 @@ def find_same_kind_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]
     """
     groups: dict[tuple, dict[str, Sequence[MeasuredCurve]]] = {}
     for name, curves in measured.items():
-        if curves:
+        if curves and not curves[0].test.modulus:
             groups.setdefault(_make_kind_tool_and_size_key(curves[0].test), {})[name] = curves
     return [found for tests in groups.values() if len(tests) > 1
             and (found := _find_disagreement_of_kind(tests)) is not None]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from calibration import load_campaign, read_measured_curves
+from calibration import diagnose, load_campaign, read_measured_curves
 from calibration.campaign.modulus_tables import estimate_noise_of_moduli
 from calibration.fit.problem import build_generalised_problem
 from calibration.fit.trust_region import minimise_from_start
@@ -226,6 +226,24 @@ def test_noise_is_that_of_pseudo_residuals():
         assert np.sqrt(np.mean(np.square(found))) == pytest.approx(0.02, rel=0.05)
         assert 0.1 < np.std(found) / 0.02 < 0.3
     assert estimate_noise_of_moduli([(FREQUENCY, np.log(modulus.real))], 0.03).deviation == 0.03
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("name", "readout"), [
+    ("readout_inertia", ModulusReadout(inertia=0.004)), ("readout_delay", ModulusReadout(delay=1e-4))])
+def test_diagnosis_names_the_effect_of_the_instrument(tmp_path, name, readout):
+    """1 % noise; the effects are far above it. A compliance is not separated from the tissue by one table."""
+    modulus = readout.compute_reading(ts.complex_modulus(GEL, FREQUENCY, "simple_shear"), FREQUENCY)
+    rng = np.random.default_rng(3)
+    campaign = make_campaign(tmp_path, modulus, table=0.01 * rng.standard_normal((2, 25)),
+                             noise="[noise]\nmodulus_relative = 0.01\n")
+    result, = diagnose([campaign.path], tmp_path / "out", figures=False)
+    diagnosis = result.diagnosis
+    assert diagnosis.verdict == "NAMED" and [each.name for each in diagnosis.effects] == [name]
+    parameter, = diagnosis.effects[0].parameters
+    assert parameter.value == pytest.approx(getattr(readout, name.removeprefix("readout_")), rel=0.2)
+    named = load_campaign(tmp_path / "out" / "diagnosed.toml")
+    assert f"{name.replace('_', '.', 1)}" in named.fit.start
 
 
 @pytest.mark.slow

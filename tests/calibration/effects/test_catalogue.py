@@ -19,9 +19,10 @@ NAMES = [
     "layer", "puncture", "plate_friction", "partial_slip", "adhesion", "edge_rounding", "radius_error", "height_error",
     "tilt", "contact_offset", "machine_compliance", "displacement_gain", "backlash", "step_loss", "zero_offset",
     "sensor_drift", "sensor_gain", "latency", "guide_friction", "rate_damping", "session_scale", "inertia",
-    "population"]
+    "readout_inertia", "readout_compliance", "readout_delay", "population"]
 #: Effects that slow tests of one specimen without lift-off cannot show -> part of the reason.
-REFUSED = {"adhesion": "past the first contact", "inertia": "quasi-static", "population": "one specimen"}
+REFUSED = {"adhesion": "past the first contact", "inertia": "quasi-static", "population": "one specimen",
+           **dict.fromkeys(("readout_inertia", "readout_compliance", "readout_delay"), "no test is a table of moduli")}
 EFFECTS = pytest.mark.parametrize("name", NAMES)
 
 
