@@ -42,7 +42,7 @@ def estimate_force_control_noise(displacements: Sequence[Signal], forces: Sequen
     """
     displacement = estimate_pooled_sensor_noise(displacements, deviation=stated[0], correlation_time=correlation_time)
     force = estimate_pooled_sensor_noise(forces, deviation=stated[1], correlation_time=0.0)
-    stiffness = [float(np.ptp(load) / np.ptp(motion))
+    stiffness = [float(np.abs(load).max() / np.abs(motion).max())
                  for (motion, *_), (load, *_) in zip(displacements, forces, strict=True)]
     return ForceControlNoise(displacement.deviation, force.deviation), [
         replace(displacement, deviation=float(np.hypot(force.deviation, k * displacement.deviation)))

@@ -243,13 +243,11 @@ def fit_law_to_descents_and_estimate(problem: OrdinaryProblem) -> tuple[list[Des
     scale = max(1.0, refined[0][0].error / max(problem.samples - problem.bounds[0].size, 1))
     best = refined[find_index_of_preferred_minimum(problem.space,
                                                    [(d.error / scale, d.theta) for d, _ in refined])][0]
-    stress = problem.data / problem.area
-    total = float(np.sum((stress - stress.mean())**2))
-    minima = []
+    stress, minima = problem.data / problem.area, []
     for descent, count in sorted(refined, key=lambda item: item[0] is not best):
         residual = problem.evaluate(descent.theta).residual * problem.noise
         minima.append(Minimum(parameters=problem.space.get_values_by_name(descent.theta[: len(problem.space.free)]),
-                              R2=1.0 - float(residual @ residual) / total, starts=count,
+                              R2=compute_r_squared(stress, residual), starts=count,
                               rise=(descent.error - refined[0][0].error) / scale))
     history = tuple(step for descent, _ in refined for step in descent.history)
     return descents, Estimate(best.start, best.theta, best.error, best.converged, "", history, *spent(),

@@ -321,7 +321,7 @@ def make_test_lines_and_missing(parts: Sequence[ReplicateFile],
     if kind is not None and kind.face.stated and "friction" not in test:
         lines.append(CampaignLine("friction", None, "coefficient of friction of both plates, or \"stick\"; --friction"))
         missing.append("the friction of the plates (--friction)")
-    lines += _make_air_and_failure_lines(parts)
+    lines += _make_lines_of_signals(parts, is_control_stated="control" in test)
     lines += make_outlier_leave_out_lines(parts)
     lines += _make_speed_lines(parts, test.pop("speed_mm_s", None))
     lines += [CampaignLine(key, value, "stated") for key,
@@ -373,8 +373,13 @@ def _make_tool_lines_and_missing(test: Mapping[str, Any], reading: TableGroup) -
     return lines, missing
 
 
-def _make_air_and_failure_lines(parts: Sequence[ReplicateFile]) -> list[CampaignLine]:
-    """Return ``contact = "find"`` for air before contact and ``failure = "cut"`` for a failure; else no line."""
+def _make_lines_of_signals(parts: Sequence[ReplicateFile], *, is_control_stated: bool) -> list[CampaignLine]:
+    """Return ``contact = "find"`` for air before contact, ``failure = "cut"`` for a failure, ``control = "force"``.
+
+    Args:
+        parts: replicates of one test.
+        is_control_stated: whether the user states the controlled quantity.
+    """
     lines = []
     motions = [(part.file.name, motion) for part in parts for motion in part.motions]
     air = [(name, motion.contact) for name,
@@ -391,6 +396,11 @@ def _make_air_and_failure_lines(parts: Sequence[ReplicateFile]) -> list[Campaign
     if failed is not None and failed[1].failure is not None:
         said = failed[1].failure.in_words(failed[1].found.units)
         lines.append(CampaignLine("failure", "cut", f"{failed[0]}: {said}; fitted up to there"))
+    driven = [control for _, motion in motions if (control := motion.screening.control) is not None
+              and control.quantity == "force" and not control.equal_samples and motion.rate is not None]
+    if not is_control_stated and len(driven) == len(motions):
+        reason = "held while the displacement creeps" if driven[0].pattern == "creep" else "a line in time"
+        lines.append(CampaignLine("control", "force", f"{motions[0][0]}: the force is {reason}"))
     return lines
 
 

@@ -154,8 +154,12 @@ def compute_r_squared(data: np.ndarray, residual: np.ndarray) -> float:
     Args:
         data: measured values y, shape (n,).
         residual: model minus data r, shape (n,).
+
+    Returns:
+        R^2; of constant data, such as the set force of a creep test, 1 - sum r^2 / sum y^2.
     """
-    return 1.0 - float(residual @ residual / np.sum((data - data.mean())**2))
+    total = float(np.sum((data - data.mean())**2)) or float(data @ data)
+    return 1.0 - float(residual @ residual) / total
 
 
 def compute_correlation_matrix(covariance: np.ndarray) -> np.ndarray:

@@ -156,3 +156,50 @@ def test_finite_elements_find_the_parameters_of_a_creep_test(creep, true, campai
     found = minimise_from_start(problem, 1.1 * truth, start=1)
     assert np.sqrt(np.mean(problem.evaluate(found.theta).residual**2)) == pytest.approx(1.0, abs=0.08)
     np.testing.assert_allclose(found.theta, truth, rtol=0.01)
+
+
+#: Viscoelastic material of the imported recordings.
+GEL = ts.Material("neo_hooke", {"C10": 5e3}, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 8.0),)))
+
+
+@pytest.mark.parametrize(("times", "forces", "segments", "reason"), [
+    ([0, 2], [0, 14], ["ramp"], "the force is a line in time"),
+    ([0, 2, 60], [0, 3, 3], ["ramp", "hold"], "the force is held while the displacement creeps"),
+    ([0, 2, 40, 42, 80], [0, 3, 3, 0.02, 0.02], ["ramp", "hold", "unload", "hold"],
+     "the force is held while the displacement creeps"),
+    ([0, 4, 8, 12, 16, 20], [0, 6, 2, 6, 2, 6], ["ramp", "unload", "reload", "unload", "reload"],
+     "the force is a line in time"),
+], ids=["ramp", "creep", "creep and recovery", "cycles"])
+def test_import_states_the_controlled_force(times, forces, segments, reason, tmp_path):
+    """The segments are those of the force, although the displacement creeps with noise."""
+    time = np.linspace(0.0, times[-1], 401)
+    force = np.interp(time, times, forces)
+    stretch = ts.stretch_history(GEL, time, -force / (np.pi * 0.02**2))
+    rng = np.random.default_rng(4)
+    np.savetxt(tmp_path / "compression.csv", np.column_stack([
+        time, 1e3 * (0.02 * (1 - stretch) + 5e-6 * rng.normal(size=401)), force + 1e-3 * rng.normal(size=401)]),
+        delimiter=",", header="Time (s),Displacement (mm),Force (N)", comments="", fmt="%.6g")
+    found = calibration.import_files([tmp_path / "compression.csv"])
+    assert 'control = "force"' in found.text and reason in found.text
+    motion = found.tests[0].parts[0].motions[0]
+    assert [each.name for each in motion.segments] == segments
+    assert motion.screening.control.quantity == "force"
+
+
+def test_import_of_a_rheometer_creep_test_with_the_set_stress(tmp_path):
+    """The stress has one value from the first sample on: the stress is controlled, and the material creeps."""
+    time = np.geomspace(1e-2, 100.0, 200)
+    strain = 10.0 / 1000.0 * (1 - 0.5 * np.exp(-time / 20.0)) / 0.5
+    np.savetxt(tmp_path / "creep.txt", np.column_stack([time, strain, np.full(200, 10.0)]), delimiter="\t",
+               header="t\tstrain\tstress\ns\t-\tPa", comments="", fmt="%.5g")
+    stated = ts.recording.formats.guesses.InterpretationOverrides(kind="simple_shear")
+    found = calibration.import_files([tmp_path / "creep.txt"], tmp_path / "creep.toml",
+                                     calibration.ImportOptions(stated=stated))
+    assert 'control = "force"' in found.text and '"viscoelastic.terms[0].g"' in found.text
+    assert [each.name for each in found.tests[0].parts[0].motions[0].segments] == ["hold"]
+    fit = next(fit for fit in calibration.calibrate([tmp_path / "creep.toml"], tmp_path / "out")[0].fits
+               if fit.law == "neo_hooke")
+    # 2 C10 is the modulus at once, 1000 Pa; the retardation time 20 s is that of relaxation over 1 - g.
+    assert fit.parameters["C10"] == pytest.approx(500.0, rel=0.01)
+    assert fit.parameters["viscoelastic.terms[0].g"] == pytest.approx(0.5, rel=0.02)
+    assert fit.parameters["viscoelastic.terms[0].tau"] == pytest.approx(10.0, rel=0.05)

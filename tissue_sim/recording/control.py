@@ -176,6 +176,9 @@ class ControlledQuantitySettings:
             the displacement in the first half.
         straight: largest deviation of a controlled channel from a line in time, as a fraction of the range.
         straighter: least ratio of the deviation of the other channel to the deviation of the controlled channel.
+        rising: least rise of the load in a hold of the displacement that is no hold, over the rise in this time at the
+            mean rate of the loading.
+        turn: fall of a channel that ends the first loading, as a fraction of its range.
         undeformed: largest displacement of an undeformed specimen at the first sample, as a fraction of the range.
         fine_digit: last digit of a load, as a fraction of its level, below which a load without noise is not measured
             or is saturated: a fifth of the 1 % within which a creep test holds its load (ISO 899-1).
@@ -194,6 +197,8 @@ class ControlledQuantitySettings:
     late: float = 0.5
     straight: float = 0.01
     straighter: float = 4.0
+    rising: float = 0.25
+    turn: float = 0.1
     undeformed: float = 0.05
     fine_digit: float = 0.002
     equal: float = 0.9
@@ -222,8 +227,10 @@ def detect_controlled_quantity_and_creep(motion: np.ndarray, load: np.ndarray,
         return replace(found, loading=min(every * found.loading, motion.size),
                        equal_samples=every * found.equal_samples)
     clock = np.arange(motion.size, dtype=float) if time is None else time
-    if motion.size < 2 * _SETTINGS.fewest or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
+    if motion.size < 2 * _SETTINGS.fewest or not np.ptp(motion) > 0 or not clock[-1] > clock[0]:
         return ControlledQuantityFindings(None, "ramp", loading=motion.size)
+    if not np.ptp(load) > 0:
+        return _make_findings_of_constant_load(motion, load, time)
     oscillation = find_final_oscillation_or_none(motion, load, time)
     if oscillation is not None and not oscillation.returns:
         return ControlledQuantityFindings(_find_channel_linear_in_time_or_none(motion, load, clock, oscillation.first),
@@ -231,7 +238,8 @@ def detect_controlled_quantity_and_creep(motion: np.ndarray, load: np.ndarray,
                                           loss_factor=oscillation.loss_factor, frequency=oscillation.frequency,
                                           loading=_count_to_peak_before_oscillation(motion, oscillation))
     rest = min(_estimate_load_at_rest(motion, load), float(np.median(load[:_SETTINGS.end_samples])))
-    holds = list(_iterate_long_holds(label_samples_ramp_hold_unload(clock, motion)))
+    holds = [each for each in _iterate_long_holds(label_samples_ramp_hold_unload(clock, motion))
+             if not _does_loading_continue(load, clock, *each)]
     relaxation, first, last = _find_largest_relaxed_fraction_and_hold(motion, load, holds, rest)
     crept = [each for each in _iterate_holds_with_relative_creep(motion, load, clock) if each[2] > SCREENING.creep]
     if crept:
@@ -245,12 +253,27 @@ def detect_controlled_quantity_and_creep(motion: np.ndarray, load: np.ndarray,
     steps = [begin for begin in loaded if motion[begin] >= 0.98 * motion[:begin + 1].max()]
     pattern = "staircase" if len(steps) > 1 else "ramp and hold" if loaded else "cycles" if oscillation else "ramp"
     peak = int(np.argmax(motion))
-    quantity = _find_channel_linear_in_time_or_none(motion, load, clock, peak + 1)
+    turn = min(peak, *(_find_first_turn(values) for values in (motion, load)))
+    quantity = _find_channel_linear_in_time_or_none(motion, load, clock, turn + 1)
     return ControlledQuantityFindings("displacement" if loaded else quantity, pattern, relaxation,
                                       loading=min([*loaded, peak + 1]),
                                       time_constant=_compute_time_constant(load, clock, first, last) if relaxation
                                       else None,
                                       loading_time=float(clock[_find_sample_near_maximum_motion(motion)] - clock[0]))
+
+
+def _make_findings_of_constant_load(motion: np.ndarray, load: np.ndarray,
+                                    time: np.ndarray | None) -> ControlledQuantityFindings:
+    """Return the findings of a recording whose load has one value: creep from the first sample on, if it is loaded.
+
+    A rheometer records the set stress. Without time the recording is a table, which shows no control.
+    """
+    gain = float(np.median(motion[-_SETTINGS.end_samples:]) - motion[0])
+    if time is None or not load[0] > 0 or not gain > 0:
+        return ControlledQuantityFindings(None, "ramp", loading=motion.size)
+    start = max(float(motion[0]), _SETTINGS.undeformed * float(np.ptp(motion)))
+    return ControlledQuantityFindings("force", "creep", creep=gain / start,
+                                      time_constant=_compute_time_constant(motion, time, 0, motion.size))
 
 
 def _count_loads_equal_to_median(load: np.ndarray, first: int, last: int) -> int:
@@ -305,6 +328,28 @@ def _compute_time_constant(values: np.ndarray, clock: np.ndarray, first: int, la
 def _find_sample_near_maximum_motion(motion: np.ndarray) -> int:
     """Return the sample at which the motion reaches 98 % of its maximum: the noise of a hold can shift the maximum."""
     return int(np.argmax(motion >= 0.98 * motion.max()))
+
+
+def _does_loading_continue(load: np.ndarray, clock: np.ndarray, first: int, last: int) -> bool:
+    """Return whether the load increases from sample `first` to `last` (not included) as fast as in the loading.
+
+    Noise makes a slow motion under a controlled force look like short holds.
+    """
+    peak = int(np.argmax(load))
+    duration = clock[peak] - clock[0]
+    rate = (load[peak] - load[0]) / duration if duration > 0 else 0.0
+    rise = float(np.median(load[max(last - _SETTINGS.end_samples, first):last])
+                 - np.median(load[first:first + _SETTINGS.end_samples]))
+    return bool(rise > _SETTINGS.rising * rate * (clock[last - 1] - clock[first]) > 0.0)
+
+
+def _find_first_turn(values: np.ndarray) -> int:
+    """Return the sample of the largest value before the first fall by `ControlledQuantitySettings.turn` of the range.
+
+    In creep the largest displacement of several cycles of the force is in the last one.
+    """
+    fell = np.maximum.accumulate(values) - values > _SETTINGS.turn * np.ptp(values)
+    return int(np.argmax(values[:int(np.argmax(fell)) + 1] if fell.any() else values))
 
 
 def _count_to_peak_before_oscillation(motion: np.ndarray, oscillation: Oscillation) -> int:

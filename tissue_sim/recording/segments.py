@@ -11,7 +11,11 @@ import numpy as np
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.public_names import OldName
 from tissue_sim.recording.contact import Contact, find_contact
-from tissue_sim.recording.control import find_creep_intervals, find_final_oscillation_or_none
+from tissue_sim.recording.control import (
+    detect_controlled_quantity_and_creep,
+    find_creep_intervals,
+    find_final_oscillation_or_none,
+)
 from tissue_sim.recording.curve_units import FORCE_UNITS, STRESS_UNITS, UNITS_OF_LOAD, CurveUnits
 from tissue_sim.recording.failure import Failure, find_failure
 from tissue_sim.recording.recording import MOTIONS, SECOND_MOTIONS, Recording
@@ -153,8 +157,10 @@ def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: n
     elif not ordered:
         labels, cycles = np.full(displacement.size, "ramp"), np.ones(displacement.size, int)
     else:
+        control = None if time is None else detect_controlled_quantity_and_creep(displacement, force, time)
+        driven = force if control is not None and control.quantity == "force" else displacement
         # Without a time a hold is at least three samples: two near samples occur in each digitised curve.
-        labels = label_samples_ramp_hold_unload(clock, displacement, shortest_hold=2.0 if time is None else 0.0)
+        labels = label_samples_ramp_hold_unload(clock, driven, shortest_hold=2.0 if time is None else 0.0)
         for first, last in find_creep_intervals(displacement, force, time):
             labels[first:last] = "hold"
         labels, cycles = label_reloads_and_cycles(labels)
