@@ -192,11 +192,13 @@ class Stage(ABC):
             in which a stalled motor is invisible.
         runs_on: Longest time that the stage keeps moving after this program stops communicating, s; `math.inf`: it
             moves to its target. A call of `position` counts as communication.
+        supports_force_control: whether `move` may be called at each poll, so that a recorder can control the force.
     """
 
     limits: StageLimits
     measures_position: bool
     runs_on: float
+    supports_force_control: bool = False
 
     @abstractmethod
     def start(self) -> None:

@@ -6,6 +6,7 @@ The error that ends a supervised motion states its reason.
 from __future__ import annotations
 
 import contextlib
+import math
 import threading
 import time
 from collections import deque
@@ -19,6 +20,7 @@ import numpy as np
 
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
 from haptics.recorder.plan import POLLING
+from haptics.safety.force_control import FORCE_CONTROL, ForceControlGuard, ForceController
 from haptics.safety.motion_guard import CommandedMotion, MotionGuard, MotionLimits, StopReason
 from tissue_sim.errors import InputError
 
@@ -37,6 +39,7 @@ class GuardedMotionTolerancesAndTimes:
         force_growth: increase of the force during retraction, as a fraction of the force limit, above which the
             retraction is abandoned, 1.
         homing_time: time that homing may take in addition to twice the travel at the largest speed, s.
+        slowest: smallest speed of a command that controls the force, m/s.
     """
 
     force_window: float = 0.1
@@ -46,6 +49,7 @@ class GuardedMotionTolerancesAndTimes:
     longest_halt: float = 5.0
     force_growth: float = 0.1
     homing_time: float = 60.0
+    slowest: float = 1e-6
 
 
 class StoppedError(RuntimeError):
@@ -356,6 +360,52 @@ class GuardedMotion:
                 "stage stalled", f"the stage stands at {self.stage_sample.position * 1e3:.4g} mm instead of "
                                  f"{position * 1e3:.4g} mm; home it again"))
         return ended
+
+    def control_force(self, start: float, end: float, duration: float, controller: ForceController,
+                      guard: ForceControlGuard, contact_point: float, deepest: float) -> None:
+        """Move the stage so that the force follows a line in time, and halt the stage at the end.
+
+        Args:
+            start: prescribed force at the start, N.
+            end: prescribed force at the end, N.
+            duration: s.
+            controller: controller of the force.
+            guard: guard of the control.
+            contact_point: position of the stage at the contact point, m.
+            deepest: largest depth of a command below the contact point, m.
+
+        Raises:
+            StoppedError: a guard or the user ended the motion, or the stage does not stop.
+        """
+        self._require_polls_on_time()
+        self._polled = self.now()
+        self.poll()
+        started = last = self.now()
+        rate = (end - start) / duration
+        while (now := self.now()) - started < duration:
+            assert self.stage_sample is not None
+            goal, position = start + rate * (now - started), self.stage_sample.position
+            force = self.compute_mean_of_recent_forces(FORCE_CONTROL.window)
+            speed = controller.compute_speed(goal, rate, force, position - contact_point, now - last)
+            speed = min(speed, 0.0) if guard.suspects_lost_contact else speed
+            target = position + speed * FORCE_CONTROL.horizon
+            target = min(max(target, self.limits.lowest), self.limits.highest, contact_point + deepest)
+            self._is_moving, last = True, now
+            self.stage.move(target, max(abs(speed), _SETTINGS.slowest))
+            self._command = CommandedMotion(position, target, abs(speed), now)
+            self.poll()
+            travel = math.copysign(min(abs(speed) * (self.now() - now), abs(target - position)), speed)
+            reason = guard.find_stop_reason(self.now(), goal, self.compute_mean_of_recent_forces(FORCE_CONTROL.window),
+                                            self.stage_sample.position - contact_point, travel)
+            if reason is not None:
+                with contextlib.suppress(Exception):
+                    self.stage.halt()
+                raise StoppedError(reason)
+        if (trouble := self._halt_and_get_trouble_or_none()) is not None:
+            raise StoppedError(StopReason("stage fault", f"the stage does not stop ({trouble}): switch it off"))
+        assert self.stage_sample is not None
+        self._is_moving = False
+        self._command = CommandedMotion(self.stage_sample.position, self.stage_sample.position, 0.0, self.now())
 
     def run_while_polling(self, task: Callable[[], T]) -> T:
         """Run a slow function in another thread, poll until it ends, and return its result or raise its error."""

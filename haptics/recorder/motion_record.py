@@ -281,7 +281,7 @@ class MotionRecord:
         wrenches: all channels of each force sample, N and N m.
         statuses: `SampleStatus` of each force sample.
         polls: answer of the stage to each poll.
-        legs: start time, s, segment name and cycle number of each leg of the motion.
+        legs: start time, s, segment name, cycle number and largest speed, m/s, of each leg of the motion.
     """
 
     numbers: list[int] = field(default_factory=list)
@@ -289,7 +289,7 @@ class MotionRecord:
     wrenches: list[tuple[float, ...]] = field(default_factory=list)
     statuses: list[int] = field(default_factory=list)
     polls: list[StagePoll] = field(default_factory=list)
-    legs: list[tuple[float, str, int]] = field(default_factory=list)
+    legs: list[tuple[float, str, int, float]] = field(default_factory=list)
 
     def append_poll_and_interpolate_positions(self, samples: Sequence[ForceSample], stage: StageSample) -> list[float]:
         """Append the force samples and the stage sample of one poll; interpolate the stage position.
@@ -349,7 +349,7 @@ def build_recording(record: MotionRecord, plan: BenchTestPlan, contact_point: fl
     clock = record.fit_sample_clock(period)
     sampled_at = clock.compute_times(record.numbers)
     path = StagePath(record.polls, [leg[0] for leg in record.legs],
-                     [plan.approach_speed, *(leg.speed for leg in plan.legs[:len(record.legs)])])
+                     [plan.approach_speed, *(leg[3] for leg in record.legs)])
     recorded = ((sampled_at >= max(record.legs[0][0], record.polls[0].middle_time))
                 & (sampled_at <= record.polls[-1].middle_time))
     inside = recorded & path.find_known_position_mask(sampled_at, plan.largest_depth)

@@ -24,8 +24,11 @@ from haptics.recorder.guarded_motion import GuardedMotion, StoppedError
 from haptics.recorder.motion_record import MotionRecord, build_recording, estimate_contact_point_and_metadata
 from haptics.recorder.plan import POLLING, BenchTestPlan, check_plans_and_compute_duration
 from haptics.recorder.run_folder import PartialRecordingWriter, RunFolder
+from haptics.safety.force_control import ForceControlGuard, ForceController
 from haptics.safety.motion_guard import GUARD, MotionGuard, MotionGuardSettings, MotionLimits, StopReason
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.protocol_legs import MotionLeg
+from tissue_sim.experiment.protocol_text import FORCE
 from tissue_sim.files import write_text
 from tissue_sim.settings import get_changed_settings_by_name
 
@@ -284,18 +287,36 @@ class Recorder:
         # Written before the motion: a program that dies during the motion has loaded the specimen.
         entry = self._folder.add_or_update_loading_entry(plan.name, description, plan.largest_depth)
         try:
-            motion.move_until_arrival_or_condition(contact_point + plan.legs[0].start, plan.approach_speed)
+            motion.move_until_arrival_or_condition(contact_point + plan.start_depth, plan.approach_speed)
+            control_force = self._make_force_control()
             for leg in plan.legs:
                 self._phase = leg.segment.kind
                 if self._record is not None:
-                    self._record.legs.append((motion.now(), leg.segment.kind, leg.cycle))
-                if leg.speed:
+                    self._record.legs.append((motion.now(), leg.segment.kind, leg.cycle,
+                                              plan.get_largest_speed_of_leg(leg)))
+                if leg.control == FORCE:
+                    control_force(leg)
+                elif leg.speed:
                     motion.move_until_arrival_or_condition(contact_point + leg.end, leg.speed)
                 else:
                     motion.poll_for_duration(leg.duration)
         finally:
             with contextlib.suppress(OSError, InputError):
                 self._folder.add_or_update_loading_entry(plan.name, description, self._deepest, entry)
+
+    def _make_force_control(self) -> Callable[[MotionLeg], None]:
+        """Return a function that executes one segment with prescribed force; the control lasts over all segments."""
+        plan, motion, limits, contact_point = self._plan, self._motion, self._plan.force_control, self._contact_point
+        if limits is None or contact_point is None:
+            return lambda leg: None
+        controller = ForceController(limits, self._limits.stiffness)
+        guard = ForceControlGuard(limits, plan.contact_force, motion.stage.measures_position)
+
+        def execute_leg(leg: MotionLeg) -> None:
+            """Control the force along a line in time."""
+            motion.control_force(leg.start, leg.end, leg.duration, controller, guard, contact_point, limits.depth)
+
+        return execute_leg
 
     def _record_replicate(self, number: int) -> None:
         """Record one replicate with the rest before it, check the zero of the sensor, and save the recording.

@@ -101,7 +101,8 @@ class StopReason:
     Attributes:
         cause: ``"force"``, ``"travel"``, ``"speed"``, ``"duration"``, ``"sensor lost"``, ``"sensor saturated"``,
             ``"sensor fault"``, ``"stage fault"``, ``"limit switch"``, ``"stage stalled"``, ``"stage astray"``,
-            ``"device"``, ``"disk"``, ``"asked"``, ``"program late"``, ``"no contact"`` or ``"zero"``.
+            ``"device"``, ``"disk"``, ``"asked"``, ``"program late"``, ``"no contact"``, ``"zero"``, ``"force control"``
+            or ``"contact lost"``.
         message: one sentence with the remedy.
     """
 

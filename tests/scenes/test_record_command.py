@@ -117,10 +117,27 @@ def test_the_folder_of_a_run_contains_all_files_of_its_campaign(protocol, tmp_pa
     assert test.rig == ts.Rig(zero_offset=0.25)
 
 
-def test_a_prescribed_force_is_refused(protocol, capsys):
-    path = protocol(replace={"ramp 4mm @8mm/s; unload": "ramp 1N @1N/s"})
+def test_a_prescribed_force_requires_limits_and_one_control(protocol, capsys):
+    """Without [force_control], and with a change of control, a protocol is refused; otherwise the plan is printed."""
+    force, table = {"ramp 4mm @8mm/s; unload": "ramp 1N @1N/s; hold 5s"}, "[force_control]\n"
+    assert main(["record", str(protocol(replace=force)), "--dry-run"]) == 2
+    assert "Give depth_mm, speed_mm_s and force_error_N, or prescribe displacements" in capsys.readouterr().err
+    table += "depth_mm = 6.0\nspeed_mm_s = 1.0\nforce_error_N = 0.3\n\n[record]"
+    mixed = {"ramp 4mm @8mm/s; unload": "ramp 1N @1N/s; ramp 2mm", "[record]": table}
+    assert main(["record", str(protocol(replace=mixed)), "--dry-run"]) == 2
+    assert "segments must prescribe either displacements or forces here" in capsys.readouterr().err
+    path = protocol(replace=force | {"[record]": table})
+    assert main(["record", str(path), "--dry-run"]) == 0
+    assert "ramp to 1 N at 1 N/s, hold 5 s" in " ".join(capsys.readouterr().out.split())
+    assert 'control = "force"' in read_protocol_file(path).make_campaign_text({"plates": ["a.csv"]}, str)
+
+
+def test_real_devices_refuse_a_prescribed_force(protocol, capsys):
+    path = protocol(replace={"ramp 4mm @8mm/s; unload": "ramp 1N @1N/s", "[record]": (
+        '[devices]\nsensor = "rdt://192.168.1.1"\nstage = "tic:/dev/ttyUSB0,steps_per_mm=800"\n\n'
+        "[force_control]\ndepth_mm = 6.0\nspeed_mm_s = 1.0\nforce_error_N = 0.3\n\n[record]")})
     assert main(["record", str(path), "--dry-run"]) == 2
-    assert "segments must prescribe displacements here; got a ramp that prescribes a force" in capsys.readouterr().err
+    assert "must prescribe displacements for a TicStage; got a prescribed force" in capsys.readouterr().err
 
 
 def test_recordings_of_a_prism_state_its_known_sizes(protocol):

@@ -73,22 +73,30 @@ class LoadingState:
     is_begun: bool = False
 
 
-def iterate_motion_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed: float) -> Iterator[MotionLeg]:
-    """Yield the legs of a displacement-controlled protocol, one for each segment, with repeats expanded.
+def iterate_motion_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed: float, *,
+                        allows_force: bool = False) -> Iterator[MotionLeg]:
+    """Yield the legs of a protocol, one for each segment, with repeats expanded.
 
     Args:
         steps: segments and repeats in order.
         speed: m/s, for segments before the first stated speed.
+        allows_force: whether segments may prescribe a force.
 
     Raises:
         InputError: a segment that cannot follow the one before, such as an unload at the touch; a segment that
-            prescribes a force, or a sinusoid.
+            prescribes an angle, a sinusoid, or a force if this is not allowed; a segment that starts from the response
+            of the specimen.
     """
     state = LoadingState({DISPLACEMENT: speed})
     for segment in iterate_segments_with_repeats(steps):
         leg, state = make_leg_or_none(segment, state)
-        if leg is None or leg.control != DISPLACEMENT:
-            quantity = f"an {ANGLE}" if leg is not None and leg.control == ANGLE else f"a {FORCE}"
+        if leg is None and allows_force:
+            raise make_protocol_error(segment.position, f"segments must prescribe either displacements or forces here; "
+                                      f"got a {segment.kind} with another control than the segment before. Keep one "
+                                      "control after the contact")
+        control = DISPLACEMENT if leg is None else leg.control
+        if leg is None or control == ANGLE or (control == FORCE and not allows_force):
+            quantity = f"an {ANGLE}" if control == ANGLE else f"a {FORCE}"
             raise make_protocol_error(segment.position, f"segments must prescribe displacements here; got a "
                                       f"{segment.kind} that prescribes {quantity}. State lengths such as 10mm")
         if leg.wave is not None:

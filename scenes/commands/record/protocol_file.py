@@ -15,6 +15,7 @@ from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.schema import PRISM, list_mesh_profile_and_rig_paths, replace_mesh_profile_and_rig_paths
 from haptics.recorder.lag import estimate_force_lag
 from haptics.recorder.plan import BenchTestPlan
+from haptics.safety.force_control import ForceControlLimits
 from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits
 from tissue_sim.decode import decode_struct, format_toml, read_toml_dict
 from tissue_sim.errors import InputError, located_and_converted_errors
@@ -26,7 +27,7 @@ from tissue_sim.recording.file import read_recording
 from tissue_sim.specimen import Specimen
 
 #: Tables of a protocol file that a campaign file does not have.
-PROTOCOL_TABLES = ("devices", "virtual", "limits", "record")
+PROTOCOL_TABLES = ("devices", "virtual", "limits", "force_control", "record")
 #: Description of the file for error messages.
 _EXPECTED = "a protocol (TOML)"
 
@@ -101,6 +102,20 @@ class LimitsTable(_ProtocolTable, frozen=True, kw_only=True):
     on_stop: Literal["stand", "retract"] = "stand"
 
 
+class ForceControlTable(_ProtocolTable, frozen=True, kw_only=True):
+    """Table ``[force_control]``: limits of a motion with a prescribed force; a protocol without forces needs none.
+
+    Attributes:
+        depth_mm: largest depth below the contact point, mm.
+        speed_mm_s: largest speed of the stage, mm/s.
+        force_error_N: largest difference to the prescribed force, N, for longer than half a second.
+    """
+
+    depth_mm: float
+    speed_mm_s: float
+    force_error_N: float
+
+
 class RecordTable(_ProtocolTable, frozen=True, kw_only=True):
     """Table ``[record]``: procedure and metadata of the recordings.
 
@@ -146,6 +161,7 @@ class _ProtocolOnlyTables(_ProtocolTable, frozen=True, kw_only=True):
     devices: DevicesTable = DevicesTable()
     virtual: VirtualTable = VirtualTable()
     limits: LimitsTable
+    force_control: ForceControlTable | None = None
     record: RecordTable = RecordTable()
 
 
@@ -192,7 +208,8 @@ class ProtocolFile:
         for entry, name in zip(content["test"], self.plans, strict=True):
             if recordings.get(name):
                 entry = {key: value for key, value in entry.items() if key != "protocol"}
-                tests.append({**entry, "name": name, "recordings": recordings[name]})
+                control = {"control": "force"} if self.plans[name].uses_force_control else {}
+                tests.append({**entry, "name": name, "recordings": recordings[name], **control})
         defaults = {key: value for key, value in content.get("defaults", {}).items() if key != "protocol"}
         content = {**content, "test": tests, **({"defaults": defaults} if defaults else {})}
         content = replace_mesh_profile_and_rig_paths(content, self.path.parent, file_name)
@@ -214,7 +231,10 @@ def read_protocol_file(path: Path) -> ProtocolFile:
         tables = decode_struct(tables_content, _ProtocolOnlyTables)
         campaign = _read_protocol_tests_as_campaign(path, content)
         lag = _compute_lag_from_recording_or_none(tables.record, path.parent)
-        plans = {test.name: _make_test_plan(test, tables.record, lag, number, content,
+        table = tables.force_control
+        control = None if table is None else ForceControlLimits(table.depth_mm * 1e-3, table.speed_mm_s * 1e-3,
+                                                                table.force_error_N)
+        plans = {test.name: _make_test_plan(test, tables.record, lag, control, number, content,
                                             prism=test.specimen is not None and test.specimen.name in campaign.prisms)
                  for number, test in enumerate(campaign.tests)}
         protocol = ProtocolFile(path, hashlib.sha256(text.encode()).hexdigest(), campaign, plans,
@@ -281,7 +301,8 @@ def _compute_lag_from_recording_or_none(record: RecordTable, folder: Path) -> di
     return {"value_s": found.value, "interval95_s": list(found.interval), "from": record.lag_from}
 
 
-def _make_test_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: int,
+def _make_test_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, control: ForceControlLimits | None,
+                    number: int,
                     content: Mapping[str, Any], *, prism: bool) -> BenchTestPlan:
     """Return the plan of a test: its motion, replicates, search for contact and metadata.
 
@@ -289,6 +310,7 @@ def _make_test_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, 
         test: test of the campaign.
         record: table ``[record]``.
         lag: lag of the sensor with its 95 % interval, from `_compute_lag_from_recording_or_none`; None: not measured.
+        control: limits of the control of the force; None: not stated.
         number: index of the test.
         content: whole content of the file.
         prism: whether the specimen is a prism of known cross-section only.
@@ -307,11 +329,11 @@ def _make_test_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, 
     # A plate that is bonded to the specimen is in contact from the start.
     bonded = test.experiment.tool.is_plate and test.experiment.friction == "bonded"
     contact = record.contact if record.contact != "auto" else "here" if bonded else "force"
-    legs = tuple(iterate_motion_legs(parse_protocol(test.protocol), STUDY_SPEED))
+    legs = tuple(iterate_motion_legs(parse_protocol(test.protocol), STUDY_SPEED, allows_force=True))
     return BenchTestPlan(test.name, legs, record.replicates,
                          contact, record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3,
                          record.retract_mm * 1e-3, record.preconditioning, record.rest_s, record.sign, record.axis,
-                         lag, {key: value for key, value in about.items() if value is not None})
+                         lag, {key: value for key, value in about.items() if value is not None}, control)
 
 
 def _make_specimen_metadata(specimen: Specimen, *, prism: bool) -> dict[str, Any]:

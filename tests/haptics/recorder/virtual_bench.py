@@ -61,7 +61,8 @@ class VirtualBench:
                                "stiffness": 1000.0, "force_margin": 2.0, **changes})
 
     def plan(self, protocol="ramp 3mm @2mm/s; hold 0.5s; unload", **changes):
-        return BenchTestPlan(**{"name": "spring", "legs": tuple(iterate_motion_legs(parse_protocol(protocol), 1e-3)),
+        return BenchTestPlan(**{"name": "spring", "legs": tuple(iterate_motion_legs(parse_protocol(protocol), 1e-3,
+                                                                               allows_force=True)),
                                 "replicates": 2, "contact_force": 0.05, "approach_speed": 2e-3, **changes})
 
     def rig(self, specimen=None, rig=None, **options):
