@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -127,7 +127,7 @@ def _draw_moduli_over_frequency(left, right, test: ImportedTest) -> None:
     left.set_title(f"{test.name}: {kind}", loc="left", fontsize=10)
 
 
-def _convert_to_plotted_unit(recording: Recording, channel: str, raw: frozenset[str]) -> np.ndarray:
+def _convert_to_plotted_unit(recording: Recording, channel: str, raw: Collection[str]) -> np.ndarray:
     """Return the values of a channel in the unit of the picture; channels in `raw` (unknown unit) are unchanged."""
     return recording.channel(channel) * (1.0 if channel in raw else _SHOWN[channel][1])
 
@@ -152,7 +152,7 @@ def _mark_outliers_and_saturated_samples(left, right, clocks: np.ndarray, ways: 
             right.plot(way, load, ls="", **style, label=name)
 
 
-def _set_axis_labels(left, right, way: str, load: str, raw: frozenset[str], *, timed: bool) -> None:
+def _set_axis_labels(left, right, way: str, load: str, raw: Collection[str], *, timed: bool) -> None:
     """Label the axes with quantity and unit; channels in `raw` have no known unit."""
     def make_axis_label(channel: str) -> str:
         """Return the label of an axis: name and unit of a channel."""

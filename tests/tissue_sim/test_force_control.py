@@ -135,6 +135,19 @@ class TestCreep:
         assert crept[-1] == pytest.approx(expected, rel=1e-6)
 
 
+class TestSamplesOfAStickingContact:
+    def test_the_error_of_few_samples_is_that_of_displacement_control(self):
+        """Under a sphere each sample bonds new surface: a coarse path gives another force, equally in both controls."""
+        options = {"tool": ts.Tool("sphere", 8e-3), "friction": "stick"}
+        errors = []
+        for points in (5, 9):
+            coarse = simulated(ts.Protocol.parse("ramp 1N @0.5N/s", points=points), **options)
+            np.testing.assert_allclose(driven_along(coarse, **options), coarse.force, atol=1e-6)
+            fine = simulated(ts.Protocol.ramp(float(coarse.displacement[-1]), 65), **options)
+            errors.append(fine.force[-1] / coarse.force[-1] - 1.0)
+        assert 0.004 < errors[0] < 0.008 and errors[1] == pytest.approx(0.5 * errors[0], rel=0.1)
+
+
 class TestAlternatingControl:
     TEXT = "ramp 3mm @1mm/s; hold 4s; ramp 1.5N @0.5N/s; hold 5s; unload 3mm; hold 2s; unload @0.1N/s"
 
