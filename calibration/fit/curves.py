@@ -16,6 +16,7 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
 from calibration.fit.population import PredictionParameters
 from calibration.forward.contract import ForwardTest, InfeasibleError
+from calibration.forward.force_control import compute_displacement_at_measured_force
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import ContactAndForceZeroJitter
 from calibration.statistics.uncertainty import (
@@ -199,6 +200,8 @@ class TestCurves:
         whole_band: half width of the simultaneous 95 % prediction band, shape (k,).
         fitted: for each recording the force of the model at its samples, with its contact offset and zero.
         area: cross-section of the nominal stress, m2 (1 if stress was recorded); None if the stress is not homogeneous.
+        displacements: for each recording under force control the displacement of the model at the measured force, with
+            its contact offset and zero; None for other recordings. Empty if the simulation fails.
     """
 
     test: Test
@@ -211,6 +214,7 @@ class TestCurves:
     whole_band: np.ndarray
     fitted: tuple[np.ndarray, ...]
     area: float | None = None
+    displacements: tuple[np.ndarray | None, ...] = ()
 
 
 def compute_test_curves(estimate: Estimate, spread: ParameterUncertainty, tests: Sequence[tuple[ForwardTest, float]],
@@ -242,6 +246,10 @@ def compute_test_curves(estimate: Estimate, spread: ParameterUncertainty, tests:
             seen = [test.evaluate_force_and_derivatives(answer, number, 0.0) for number in range(len(test.measured))]
             models = tuple(fitted.get(curve.name, force)
                            for curve, (force, *_) in zip(test.measured, seen, strict=True))
+            displacements = tuple(
+                None if curve.force_control is None else
+                compute_displacement_at_measured_force(test, answer, number, models[number], seen[number][2])
+                for number, curve in enumerate(test.measured))
             gaps = [curve.force - force for curve, (force, *_) in zip(test.measured, seen, strict=True)]
             known, count = all(curve.name in fitted for curve in test.measured), len(test.measured)
             # With enough recordings their observed scatter is used, which includes more than contact and zero.
@@ -254,10 +262,10 @@ def compute_test_curves(estimate: Estimate, spread: ParameterUncertainty, tests:
                                                                             mesh_error, used, deviations)
         except InfeasibleError:
             force = error = np.full(path.displacement.size, np.nan)
-            bands = force, force
+            bands, displacements = (force, force), ()
             models = tuple(np.full(curve.force.size, np.nan) for curve in test.measured)
         found.append(TestCurves(test.measured[0].test, test.measured, time, path.displacement, force, error,
-                                bands[0], bands[1], models, test.area))
+                                bands[0], bands[1], models, test.area, displacements))
     return found
 
 

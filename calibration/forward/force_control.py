@@ -89,6 +89,23 @@ def evaluate_residual_under_force_control(test: Any, answer: Any, recording: int
     return elastic[:, 0], elastic[:, 1:], forces[0]
 
 
+def compute_displacement_at_measured_force(test: ForwardTest, answer: Any, recording: int, force: np.ndarray,
+                                           contact: np.ndarray) -> np.ndarray:
+    """Return the displacement that a model predicts for the measured force, m, shape (n,), to first order.
+
+    Args:
+        test: forward model.
+        answer: solution of the forward model.
+        recording: index in the test of a recording under force control.
+        force: force of the model at the measured displacement, N, shape (n,).
+        contact: derivative of the force with respect to the contact offset, N/m, shape (n,).
+    """
+    curve = test.measured[recording]
+    elastic, stiffness, _ = _compute_elastic_columns_stiffness_and_weight(test, answer, recording, contact,
+                                                                          (force - curve.force)[:, None])
+    return curve.displacement - elastic[:, 0] / stiffness
+
+
 def _compute_elastic_columns_stiffness_and_weight(test: ForwardTest, answer: Any, recording: int, contact: np.ndarray,
                                                   columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return R^-1 `columns`, shape (n, m); the elastic stiffness k, N/m, shape (n,); and the weights, shape (n,)."""

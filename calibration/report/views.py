@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 
@@ -90,6 +91,7 @@ class PanelLabelsAndLineFunction:
         log: whether the horizontal axis is logarithmic.
         log_load: whether the vertical axis is logarithmic.
         rates: whether outliers are expected, which are then ignored for the scale.
+        responds: whether laws are drawn by their displacement at the measured force of the first recording.
     """
 
     title: str
@@ -100,6 +102,7 @@ class PanelLabelsAndLineFunction:
     log: bool = False
     rates: bool = False
     log_load: bool = False
+    responds: bool = False
 
 
 def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabelsAndLineFunction]:
@@ -108,7 +111,8 @@ def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabel
     - Force against displacement, for tests with a specimen.
     - Nominal stress against strain, if grips or plates load the entire cross-section.
     - Slope (stiffness or tangent modulus) of one of these.
-    - Load against time, and load in holds against the logarithm of time, for timed tests.
+    - Load against time, and load in holds against the logarithm of time, for timed tests. Under force control the
+      displacement replaces the load.
     - For a table of moduli only the modulus against frequency, both logarithmic.
     """
     if best.test.modulus:
@@ -117,7 +121,8 @@ def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabel
             partial(_iterate_modulus_lines, units.pressure), log=True, log_load=True)]
     test, found = best.test, []
     x, load, area = units.get_displacement_unit(test), units.get_load_unit(test), _find_loaded_area_or_none(best)
-    curve, x_label, history = _LoadDisplacementLines(x, load), x.format_axis_label("displacement"), _LoadTimeLines(load)
+    curve, x_label = _LoadDisplacementLines(x, load), x.format_axis_label("displacement")
+    history = _ChannelTimeLines(load)
     if not test.states_stress:
         found.append(PanelLabelsAndLineFunction("Force and displacement", x_label, load.format_axis_label("force"),
                                                 curve.iterate_lines))
@@ -135,13 +140,18 @@ def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabel
     found.append(PanelLabelsAndLineFunction(words.capitalize(), x_label, f"{words} [{rate}]", tangent.iterate_tangents,
                                             own=True, rates=True))
     if have_times_and_several_segments(best.measured):
+        creeps = best.measured[0].force_control is not None
         name = load.format_axis_label("nominal stress" if test.states_stress else "force")
-        found.append(PanelLabelsAndLineFunction("Load over time", "time [s]", name, history.iterate_lines))
+        if creeps:
+            name = test.kind.strain_name if test.states_stress else x.format_axis_label("displacement")
+            history = _ChannelTimeLines(x, "displacement")
+        found.append(PanelLabelsAndLineFunction("Displacement over time" if creeps else "Load over time", "time [s]",
+                                                name, history.iterate_lines, responds=creeps))
         if any(label.startswith("hold") for label, _,
                _ in CurveTrace.from_recording(best.measured[0]).iterate_segment_names_and_bounds()):
-            found.append(PanelLabelsAndLineFunction("Relaxation in holds", "time since the start of the hold [s]", name,
-                                                    history.iterate_holds,
-                                                    own=True, log=True))
+            found.append(PanelLabelsAndLineFunction("Creep in holds" if creeps else "Relaxation in holds",
+                                                    "time since the start of the hold [s]", name,
+                                                    history.iterate_holds, own=True, log=True, responds=creeps))
     return found
 
 
@@ -169,7 +179,7 @@ def have_times_and_several_segments(recordings: Sequence[MeasuredCurve]) -> bool
     return all(m.time is not None and m.segment is not None and np.unique(m.segment).size > 1 for m in recordings)
 
 
-def get_law_trace_or_none(curves: TestCurves, own: bool = False) -> CurveTrace | None:
+def get_law_trace_or_none(curves: TestCurves, own: bool = False, responds: bool = False) -> CurveTrace | None:
     """Return the fitted curve of a law for drawing; None if the recording and the model have no common time.
 
     For a timed test the curve is evaluated at the samples of the first recording, otherwise along the model's motion.
@@ -177,11 +187,15 @@ def get_law_trace_or_none(curves: TestCurves, own: bool = False) -> CurveTrace |
     Args:
         curves: recorded and fitted curves of a test.
         own: whether a timed test uses the contact offset and force zero of the first recording.
+        responds: whether the curve is the displacement at the measured force of the first recording.
 
     Returns:
         The curve; None if model and recording have no common time.
     """
     first = curves.measured[0]
+    if responds:
+        displacement = next(iter(curves.displacements), None)
+        return None if displacement is None else replace(CurveTrace.from_recording(first), displacement=displacement)
     if own and have_times_and_several_segments(curves.measured):
         return replace(CurveTrace.from_recording(first), force=curves.fitted[0])
     if not have_times_and_several_segments(curves.measured):
@@ -253,22 +267,25 @@ class _LoadDisplacementLines:
 
 
 @dataclass(frozen=True)
-class _LoadTimeLines:
-    """Conversion of traces to lines of load against time, in display units.
+class _ChannelTimeLines:
+    """Conversion of traces to lines of load or displacement against time, in display units.
 
     Attributes:
-        y: unit of the load.
+        y: unit of the ordinate.
+        channel: ``"force"`` or ``"displacement"``.
     """
 
     y: DisplayUnit
+    channel: Literal["force", "displacement"] = "force"
 
     def iterate_lines(self, trace: CurveTrace) -> Lines:
-        """Yield one line: time (s), load and band (or None), load in its display unit."""
+        """Yield one line: time (s), load or displacement in its display unit, and band of the load (or None)."""
         assert trace.time is not None
-        yield trace.time, trace.force / self.y.size, None if trace.band is None else trace.band / self.y.size
+        band = None if trace.band is None or self.channel != "force" else trace.band / self.y.size
+        yield trace.time, getattr(trace, self.channel) / self.y.size, band
 
     def iterate_holds(self, trace: CurveTrace) -> Lines:
-        """Yield the load in each hold against the time since the start of the hold."""
+        """Yield load or displacement in each hold against the time since the start of the hold."""
         assert trace.time is not None
         for label, first, after in trace.iterate_segment_names_and_bounds():
             start = max(first - 1, 0)
@@ -276,7 +293,7 @@ class _LoadTimeLines:
                 since = trace.time[start:after] - trace.time[start]
                 # Times below half a sampling interval are within the resolution of the clock.
                 resolved = since > 0.5 * np.median(np.diff(since))
-                yield since[resolved], trace.force[start:after][resolved] / self.y.size, None
+                yield since[resolved], getattr(trace, self.channel)[start:after][resolved] / self.y.size, None
 
 
 def _choose_tangent_half_width_in_axis_unit(recordings: Sequence[MeasuredCurve],

@@ -9,10 +9,13 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured_curves
+from calibration.fit.curves import compute_test_curves
 from calibration.fit.problem import build_generalised_problem
 from calibration.fit.trust_region import minimise_from_start
 from calibration.forward.force_control import evaluate_residual_under_force_control
 from calibration.forward.simulation_cache import SimulationCache
+from calibration.report.quantities import ReportUnits
+from calibration.report.views import get_law_trace_or_none, list_panels_of_test
 from calibration.statistics.sensor_noise import ForceControlNoise
 
 #: Campaigns of the short version of the study.
@@ -102,6 +105,21 @@ def test_residuals_are_the_noise_of_the_displacement(creep, true, campaign_file)
     assert np.abs(scores.mean(axis=0)).max() < 0.4 and scores.std(axis=0) == pytest.approx(np.ones(3), abs=0.3)
     _, scores = residuals_at_truth(creep, true, campaign_file, 5e-5, 20, False)
     assert np.abs(scores.mean(axis=0)).max() > 1.5
+
+
+def test_the_report_draws_the_displacement_of_a_creep_test(creep, true, campaign_file):
+    """The panels are displacement over time and creep in holds, and the law is the displacement at the force."""
+    path = campaign_file({"creep": noisy(true, 1e-5, 2)}, creep.CAMPAIGN.format(control="force"))
+    campaign = load_campaign(path)
+    estimator = creep.OrdinaryLeastSquaresEstimator(campaign, read_measured_curves(campaign), SimulationCache())
+    _, estimate = creep.fit_law_to_descents_and_estimate(estimator.build_law_problem(creep.LAW))
+    spread = estimator.problem_uncertainty_function(estimate.problem, estimate.evaluation)
+    curves, = compute_test_curves(estimate, spread, [(estimate.problem.tests[0], 0.0)], None)
+    panels = list_panels_of_test(curves, ReportUnits.choose_for_typical_sizes(2e-3, 3.0, 1e4))
+    assert [panel.title for panel in panels][-2:] == ["Displacement over time", "Creep in holds"]
+    trace = get_law_trace_or_none(curves, responds=panels[-1].responds)
+    np.testing.assert_allclose(trace.displacement, true.displacement, atol=1e-5)
+    assert trace.displacement[-1] > 1.2 * trace.displacement[45]
 
 
 ELASTIC = """
