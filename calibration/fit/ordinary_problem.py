@@ -247,6 +247,8 @@ class OrdinaryProblem(LeastSquaresProblem):
     def compute_stress_changes_per_jitter_or_none(self, theta: np.ndarray, noise: Noise) -> np.ndarray | None:
         """Return the change of the nominal stress per standard deviation of contact and zero jitter, Pa, shape (N, 2).
 
+        Under force control the changes are whitened as the residuals are.
+
         None if no jitter is stated; no columns if fitted offsets have the jitter as their prior.
         """
         if not (noise.contact_jitter or noise.zero_jitter):
@@ -256,7 +258,12 @@ class OrdinaryProblem(LeastSquaresProblem):
         columns = np.zeros((self.samples, 2))
         answers = [test.solve(self.space, theta[: len(self.space.free)], self.solves) for test in self.tests]
         for rows, (t, r) in zip(self.rows, self.places, strict=True):
-            if not self.tests[t].measured[r].stressed:
+            curve = self.tests[t].measured[r]
+            if curve.force_control is not None and not curve.stressed:
+                whitened = evaluate_residual_under_force_control(self.tests[t], answers[t], r, 0.0, 0.0,
+                                                                 self.moves_force_control)[1]
+                columns[rows] = whitened[:, -2:] * [noise.contact_jitter or 0.0, noise.zero_jitter or 0.0]
+            elif not curve.stressed:
                 contact = self.tests[t].evaluate_force_and_derivatives(answers[t], r, 0.0)[2]
                 columns[rows, 0], columns[rows, 1] = contact * noise.contact_jitter, noise.zero_jitter
         return columns / self.area[:, None]

@@ -164,6 +164,31 @@ def test_an_elastic_ramp_of_the_force_equals_least_squares_on_the_displacement(c
     assert fit.standard_errors["C10"] == pytest.approx(error, rel=0.03)
 
 
+@pytest.mark.parametrize("jitter", ["contact_jitter_mm = 0.02", "zero_jitter_N = 0.03"])
+def test_jitter_of_contact_and_zero_widens_the_interval(jitter, campaign_file):
+    """The standard error is that of the noise, and the change of the estimate by one deviation of the jitter."""
+    force = np.linspace(0.0, 6.0, 201)
+    stretch = ts.stretch_history(ts.Material("neo_hooke", {"C10": 5e3}), 0.05 * np.arange(201),
+                                 -force / (np.pi * 0.02**2))
+    exact = ts.Recording({"time": 0.05 * np.arange(201), "displacement": 0.02 * (1 - stretch), "force": force})
+    recorded = noisy(exact, 1e-5, 3)
+
+    def fit(recording, noise):
+        path = campaign_file({"ramp": recording}, ELASTIC.format(test='control = "force"', method="analytical", fit="",
+                                                               noise=noise))
+        return calibration.calibrate([path], path.parent / f"out_{recording.force[0]}_{recording.displacement[0]}_"
+                                     f"{bool(noise)}")[0].fits[0]
+
+    contact, zero = (2e-5, 0.0) if "contact" in jitter else (0.0, 0.03)
+    moved = ts.Recording({"time": recorded.time, "displacement": recorded.displacement + contact,
+                          "force": recorded.force + zero})
+    before, shifted, widened = fit(recorded, ""), fit(moved, ""), fit(recorded, jitter)
+    change = shifted.parameters["C10"] - before.parameters["C10"]
+    assert abs(change) > 3 * before.standard_errors["C10"]
+    expected = np.hypot(before.standard_errors["C10"], change)
+    assert widened.standard_errors["C10"] == pytest.approx(expected, rel=0.03)
+
+
 def test_finite_elements_find_the_parameters_of_a_creep_test(creep, true, campaign_file):
     """The residuals of the inverse fit are white, and its estimate is within 1 % of the truth."""
     text = creep.CAMPAIGN.format(control="force").replace("analytical", "inverse_fem")
