@@ -41,6 +41,7 @@ from calibration.campaign.tables import (
     read_rig_without_noise,
     read_solver_name,
     read_specimens_by_name,
+    read_stable_stretches,
     reject_fit_and_noise_keys_without_effect,
     require_analytical_support_of_fit_table,
     require_analytical_support_of_test_table,
@@ -165,6 +166,7 @@ class FitSettings:
         prior: (mean, standard deviation) by path, SI.
         bounds: (low, high) by path, SI.
         softening_form: form of the softening on first load, see `tissue_sim.material.softening.Softening`.
+        stable: whether the law is kept Drucker-stable over the stretches of the data; or (lowest, highest) stretch.
     """
 
     laws: tuple[str, ...]
@@ -185,6 +187,7 @@ class FitSettings:
     prior: Mapping[str, tuple[float, float]] = field(default_factory=_freeze_mapping)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=_freeze_mapping)
     softening_form: SofteningForm = "tanh"
+    stable: bool | tuple[float, float] = False
 
     @property
     def stated_non_law_parameter_paths(self) -> tuple[str, ...]:
@@ -439,7 +442,7 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
         zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points, method=table.method,
         starts=table.starts or DEFAULT_STARTS, named=_freeze_mapping(by_path), start=_freeze_mapping(start),
         fixed=_freeze_mapping(fixed), prior=_freeze_mapping(prior), bounds=_freeze_mapping(bounds),
-        softening_form=table.softening_form)
+        softening_form=table.softening_form, stable=read_stable_stretches(table))
 
 
 def _convert_noise_table_to_si(table: NoiseTable, method: str) -> Noise:

@@ -158,6 +158,7 @@ class FitTable(_Table, frozen=True, kw_only=True):
     laws: list[str]
     bulk_ratio: float | None = None
     softening_form: SofteningForm = "tanh"
+    stable: bool | Pair = False
     offset: Literal["none", "fit"] = "none"
     offset_bounds_mm: float | None = None
     offset_prior_mm: float | None = None

@@ -183,6 +183,25 @@ def require_analytical_support_of_fit_table(table: FitTable, named: Mapping[str,
                              "fit.method = 'inverse_fem'", field=f"fit.{key}.{name}")
 
 
+def read_stable_stretches(table: FitTable) -> bool | tuple[float, float]:
+    """Return ``fit.stable``: whether, or over which stretches, the law is kept stable.
+
+    Raises:
+        InputError: a range that does not contain 1, or another method than the analytical one.
+    """
+    if isinstance(table.stable, bool):
+        stretches: bool | tuple[float, float] = table.stable
+    else:
+        low, high = stretches = (float(table.stable[0]), float(table.stable[1]))
+        if not 0.0 < low <= 1.0 <= high < float("inf"):
+            raise InputError(f"must be true, false or [lowest, highest] stretch around 1; got [{low:g}, {high:g}].",
+                             field="fit.stable")
+    if stretches and table.method != "analytical":
+        raise InputError("requires fit.method = 'analytical'. Leave it out, and state fit.bounds instead",
+                         field="fit.stable")
+    return stretches
+
+
 def check_compressible_laws(table: FitTable, named: Mapping[str, ScopedCampaignParameter],
                             kinds: Sequence[TestKind]) -> None:
     """Raise an `InputError` if a law with its own volumetric response is combined with what it does not support.

@@ -30,6 +30,7 @@ from calibration.fit.ordinary_problem import OrdinaryProblem, compute_analytical
 from calibration.fit.population import PredictionParameters
 from calibration.fit.problem import ProblemEvaluation
 from calibration.fit.run_context import RunContext
+from calibration.fit.stable_range import constrain_minima_to_stability
 from calibration.fit.trust_region import (
     ALTERNATIVES,
     DESCENT,
@@ -146,8 +147,8 @@ class OrdinaryLeastSquaresEstimator(Estimator):
         on_bound = [name for name, hit in zip(problem.space.free, spread.on_bound, strict=False) if hit]
         nuisances = _build_nuisance_records(problem, found.estimate.theta, spread)
         held = {f"{n.replicate}: {name}": getattr(n, name) for n in nuisances for name in n.on_bound}
-        warnings = [f"{name} ended on its bound {value:.6g}" for name, value in (
-            *((problem.space.symbols[name], found.values[name]) for name in on_bound), *held.items())]
+        warnings = [*found.estimate.warnings, *(f"{name} ended on its bound {value:.6g}" for name, value in (
+            *((problem.space.symbols[name], found.values[name]) for name in on_bound), *held.items()))]
         if found.status != "not_physical":
             warnings += found.lost
         stress = (found.estimate.evaluation.force - problem.data) / problem.area
@@ -240,6 +241,13 @@ def fit_law_to_descents_and_estimate(problem: OrdinaryProblem) -> tuple[list[Des
             refined.append((run_descent(problem, descents[-1].theta, descents[-1].start, _SETTINGS.solves), 1))
     refined = find_distinct_minima([item for item in refined if np.isfinite(item[0].error)],
                                    make_mask_of_agreeing_parameters)
+    warnings: tuple[str, ...] = ()
+    if problem.settings.stable:
+        refined, warnings = constrain_minima_to_stability(problem, refined, [
+            *(end.theta for end, _ in ends), *starts])
+        if not refined:
+            return descents, (f"no parameters of {law} are stable over the stretches of fit.stable. State a smaller "
+                              "range, or use another law")
     scale = max(1.0, refined[0][0].error / max(problem.samples - problem.bounds[0].size, 1))
     best = refined[find_index_of_preferred_minimum(problem.space,
                                                    [(d.error / scale, d.theta) for d, _ in refined])][0]
@@ -251,7 +259,7 @@ def fit_law_to_descents_and_estimate(problem: OrdinaryProblem) -> tuple[list[Des
                               rise=(descent.error - refined[0][0].error) / scale))
     history = tuple(step for descent, _ in refined for step in descent.history)
     return descents, Estimate(best.start, best.theta, best.error, best.converged, "", history, *spent(),
-                              problem=problem, minima=tuple(minima))
+                              problem=problem, warnings=warnings, minima=tuple(minima))
 
 
 def _is_promising_start(problem: OrdinaryProblem, start: np.ndarray, best: float) -> bool:

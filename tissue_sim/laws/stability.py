@@ -83,18 +83,22 @@ def _derive_log_strain_hessian_entries(law: Law):
     return (*e, *law.symbols), [*entries, *law.list_domain_conditions_of_stretches(l1, l2, l3)]
 
 
+def _compute_log_strain_hessian(law: Law, values: np.ndarray, strains: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return d2W/(de_i de_j), shape (3, 3, n), at logarithmic strains of shape (n, 3), and which are in the domain."""
+    results = _compile_log_strain_hessian_entries(law)(*strains.T, *values)
+    h = np.empty((3, 3, len(strains)))
+    for (i, k), entry in zip(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), results[:6], strict=True):
+        h[i, k] = h[k, i] = entry
+    return h, np.all([np.broadcast_to(condition > 0, len(strains)) for condition in results[6:]], axis=0)
+
+
 def _is_stable_at_log_strains(law: Law, values: np.ndarray, strains: np.ndarray) -> np.ndarray:
     """Return whether d(tau) : d(e) > 0 for every volume-preserving d(e), shape (n,), at strains of shape (n, 3).
 
     The strains are logarithmic. A number that overflows counts as stable, a strain outside the domain as unstable.
     """
     with np.errstate(all="ignore"):
-        results = _compile_log_strain_hessian_entries(law)(*strains.T, *values)
-        entries = results[:6]
-        is_inside = np.all([np.broadcast_to(condition > 0, len(strains)) for condition in results[6:]], axis=0)
-        h = np.empty((3, 3, len(strains)))
-        for (i, k), entry in zip(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), entries, strict=True):
-            h[i, k] = h[k, i] = entry
+        h, is_inside = _compute_log_strain_hessian(law, values, strains)
         # The 2 x 2 matrix after elimination of strain k. Its determinant is the same for every k; the matrix with the
         # smallest off-diagonal entry loses the fewest digits by cancellation.
         pairs = []
@@ -108,6 +112,39 @@ def _is_stable_at_log_strains(law: Law, values: np.ndarray, strains: np.ndarray)
         a, b, c = a[best], b[best], c[best]
         # An overflow is no evidence of instability.
         return is_inside & (~np.isfinite(a * c) | ((a + c > 0) & (a * c - b * b > 0)))
+
+
+#: Orthonormal basis of the volume-preserving logarithmic strains, shape (3, 2).
+_ISOCHORIC_BASIS = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])
+
+
+def compute_stability_margins(law: Law, values, stretch: np.ndarray) -> np.ndarray:
+    """Return how far a law is from losing Drucker's stability in each mode, shape (modes, n), in the order of `MODES`.
+
+    The margin is the smallest eigenvalue of d(tau)/d(e) over the largest absolute one, from -1 to 1; the law is stable
+    where it is positive. It is -1 where the law is not defined, overflows or has no lateral equilibrium.
+
+    Args:
+        law: the law.
+        values: parameters, SI.
+        stretch: prescribed stretches, shape (n,).
+    """
+    array, stretch, found = law.convert_parameters_to_array(values), np.asarray(stretch, dtype=float), []
+    for mode in MODES:
+        stretches = law.compute_principal_stretches(stretch, array, mode)
+        with np.errstate(all="ignore"):
+            if law.is_compressible:
+                hessian = law.compute_log_strain_hessian(stretches, array)
+                is_inside = np.isfinite(stretches).all(axis=-1)
+            else:
+                full, is_inside = _compute_log_strain_hessian(law, array, np.log(stretches))
+                hessian = np.einsum("ia,ikn,kb->nab", _ISOCHORIC_BASIS, full, _ISOCHORIC_BASIS)
+        is_known = is_inside & np.isfinite(hessian).all(axis=(-2, -1))
+        size = hessian.shape[-1]
+        eigenvalues = np.linalg.eigvalsh(np.where(is_known[:, None, None], hessian, -np.eye(size)))
+        largest = np.abs(eigenvalues).max(axis=-1)
+        found.append(np.divide(eigenvalues[:, 0], largest, out=np.full(len(largest), -1.0), where=largest > 0))
+    return np.array(found)
 
 
 def _is_stable_with_change_of_volume(law: Law, values: np.ndarray, stretch: np.ndarray, mode: str) -> np.ndarray:
