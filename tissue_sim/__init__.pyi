@@ -19,6 +19,7 @@ from tissue_sim.experiment.contact_law import ContactLaw as ContactLaw
 from tissue_sim.experiment.contact_law import Traction as Traction
 from tissue_sim.experiment.experiment import Approach as Approach
 from tissue_sim.experiment.experiment import Experiment as Experiment
+from tissue_sim.experiment.grip import GripMotion as GripMotion
 from tissue_sim.experiment.kinds.kind import KINDS as KINDS
 from tissue_sim.experiment.kinds.kind import TestKind as TestKind
 from tissue_sim.experiment.protocol import Protocol as Protocol
@@ -37,6 +38,7 @@ from tissue_sim.fem.solver import Step as Step
 from tissue_sim.fem.solver import StepStatus as StepStatus
 from tissue_sim.fem.taichi.launch import BusyError as BusyError
 from tissue_sim.fem.taichi.launch import CopyError as CopyError
+from tissue_sim.grip_factor import compute_grip_factor as compute_grip_factor
 from tissue_sim.laws import LAWS as LAWS
 from tissue_sim.laws import find_law as find_law
 from tissue_sim.laws import find_stability_range as find_stability_range

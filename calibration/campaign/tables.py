@@ -372,6 +372,9 @@ def find_and_check_specimen_or_none(entry: TestTable, specimens: Mapping[str, Sp
     kind = KINDS[entry.kind]
     stands = kind.has_closed_form_with_weight if table.fit.method == "analytical" else not kind.has_gripped_ends
     if found is not None and found.specific_weight and not stands:
+        if not kind.has_gripped_ends:
+            raise InputError(f"gravity = true has no closed form in {entry.kind}. Set fit.method = 'inverse_fem', or "
+                             "use a specimen with gravity = false for this test", field=f"{field}.specimen")
         raise InputError(f"gravity = true requires a specimen that stands under a plate; {entry.kind} does not define "
                          "the direction of gravity. Use a specimen with gravity = false for this test",
                          field=f"{field}.specimen")

@@ -36,14 +36,15 @@ if TYPE_CHECKING:
     import numpy as np
     from rich.console import Console
 
-    from tissue_sim import Recording, Rig
+    from tissue_sim import Model, Recording, Rig
 
 #: Formats of ``--figure``.
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 #: Largest value of ``--replicates``.
 MAX_REPLICATES = 1000
 #: Entries of the solver report that appear in the JSON object only if they apply to the test.
-OPTIONAL_KEYS = ("force_error", "penetration_mm", "penetration_tolerance_mm", "slipping_points", "self_weight", "ends")
+OPTIONAL_KEYS = ("force_error", "penetration_mm", "penetration_tolerance_mm", "slipping_points", "self_weight", "ends",
+                 "grip_factor")
 
 
 def _add_scene_and_material(parser: InputErrorArgumentParser) -> None:
@@ -135,6 +136,8 @@ def _run(arguments: Namespace) -> CommandResult:
         raise InputError(f"requires fields with a geometry, which the solver {arguments.solver!r} does not provide. "
                          "Leave --figure out",
                          field="--figure")
+    if experiment.grip is not None:
+        recording = _with_grip_factor(recording, arguments.scene, model)
     recordings = simulate_replicate_readings(
         read, recording.with_metadata(**make_kind_specimen_tool_metadata(arguments.scene, experiment)),
         arguments.replicates)
@@ -156,6 +159,20 @@ def _run(arguments: Namespace) -> CommandResult:
         kept = f"; the curve up to this point is in {' and '.join(map(str, outputs))}" if outputs else ""
         raise ConvergenceError(f"{failure}{kept}")
     return result
+
+
+def _with_grip_factor(recording: Recording, scene: str, model: Model) -> Recording:
+    """Return a recording whose solver report has the load over that of the closed form, if the closed form holds."""
+    import numpy as np
+
+    from tissue_sim.grip_factor import compute_grip_factor
+
+    try:
+        factor = compute_grip_factor(SIMULATED[scene], model, recording)
+    except InputError:
+        return recording
+    values = [None if np.isnan(value) else value for value in factor.tolist()]
+    return recording.with_metadata(solver={**recording.metadata["solver"], "grip_factor": values})
 
 
 def describe_simulation_progress(done: int, samples: int, estimates_error: bool) -> str:
@@ -354,6 +371,8 @@ def iterate_error_contact_and_weight_remarks(solver: dict) -> Iterator[str]:
     """Yield one sentence each on force error, penetration, friction and self-weight, as far as they apply."""
     if "ends" in solver:
         yield (f"ends of the specimen: {solver['ends']}, which the closed form of this test does not model")
+    if known := [value for value in solver.get("grip_factor", ()) if value is not None]:
+        yield f"load over that of the closed form: {min(known):.4g} to {max(known):.4g}"
     if solver.get("force_error") is not None:
         yield (f"estimated force error: {100 * solver['force_error']:.2g} % of the largest force, from a comparison "
                "with another mesh and longer steps")

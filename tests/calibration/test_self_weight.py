@@ -50,6 +50,13 @@ def errors(fit):
     return [100 * (fit.parameters[name] / value - 1) for name, value in PHANTOM.items()]
 
 
+def test_confined_compression_under_weight_needs_the_finite_elements(tmp_path):
+    path = write_campaign(tmp_path, [compression()], f"radius_mm = 40.0\nheight_mm = 70.0\n{GRAVITY}",
+                          kind="confined_compression", fit='laws = ["neo_hooke"]\nbulk_ratio = 8.0')
+    with pytest.raises(ts.InputError, match=r"gravity = true has no closed form in confined_compression\. Set"):
+        calibration.calibrate([path], tmp_path / "out", figures=False)
+
+
 @pytest.mark.parametrize("shape", ["radius_mm = 40.0", f'shape = "prism"\narea_mm2 = {1600 * np.pi}'])
 @pytest.mark.parametrize("height_is", ["moulded", "placed"])
 def test_with_gravity_the_parameters_come_back(tmp_path, shape, height_is):

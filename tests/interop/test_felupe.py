@@ -93,3 +93,21 @@ def test_taylor_hood_tends_to_the_same_forces():
                                                   bulk_modulus, DEPTHS, pressure="Q1")
         differences.append(abs(forces / theirs - 1).max())
     assert 1e-6 < differences[1] < 0.5 * differences[0] < 0.01
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_tension_between_grips_is_that_of_felupe(law):
+    """A cylinder twice as high as its radius. On the same mesh the forces are equal; four-node elements on another mesh
+    give the forces of the default mesh within 0.5 %."""
+    radius, height, pull = 0.010, 0.020, np.array([3e-3, 6e-3])
+    material = ts.Material(law, LAWS[law], ts.Bulk("bulk_ratio", 1e3))
+    experiment = ts.KINDS["uniaxial_tension"].experiment(
+        specimen=ts.Specimen(radius, height), protocol=ts.Protocol(np.arange(3.0), np.concatenate([[0.0], pull])))
+    model = ts.Model(experiment, material)
+    mesh = cylinder_mesh(radius, height, (4, 6), Q9P1, grading=(2.0, 1.5))
+    theirs = -felupe_problem.compression_curve(mesh, felupe_law(law), material.bulk_modulus, -pull, pressure="P-1",
+                                               tolerance=1e-10)
+    np.testing.assert_allclose(ts.simulate(model, mesh=mesh).force[1:], theirs, rtol=1e-6)
+    mesh = cylinder_mesh(radius, height, (20, 40), Q4P0, grading=(8.0, 8.0))
+    theirs = -felupe_problem.compression_curve(mesh, felupe_law(law), material.bulk_modulus, -pull)
+    np.testing.assert_allclose(ts.simulate(model, estimate_error=False).force[1:], theirs, rtol=0.005)

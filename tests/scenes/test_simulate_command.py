@@ -378,3 +378,53 @@ def test_contradictory_flags_are_refused(material, words, expected, capsys):
     assert main(["simulate", *words, "--material", material]) == 2
     out, err = capsys.readouterr()
     assert out == "" and expected in err and err.count("\n") == 1
+
+
+@pytest.fixture(scope="module")
+def elastic(tmp_path_factory):
+    path = tmp_path_factory.mktemp("elastic") / "elastic.material.json"
+    assert main(["material", "new", "--law", "neo_hooke", "--set", "C10=1000", "--bulk-ratio", "1000",
+                 "-o", str(path)]) == 0
+    return str(path)
+
+
+class TestGrips:
+    def test_tension_prints_and_writes_what_the_grips_change(self, elastic, tmp_path, capsys):
+        curve, figure = tmp_path / "pull.csv", tmp_path / "pull.png"
+        code = main(["simulate", "uniaxial_tension", "--material", elastic, "--radius-mm", "10", "--height-mm", "20",
+                     "--protocol", "ramp 10mm", "--points", "5", "-o", str(curve), "--figure", str(figure)])
+        out = capsys.readouterr().out.replace("\n", " ")
+        assert code == 0 and "ends of the specimen: bonded to rigid grips" in out
+        assert "load over that of the closed form: 1.1" in out and "estimated force error" in out
+        written = ts.read_recording(curve)
+        assert written.metadata["kind"] == "uniaxial_tension" and "tool" not in written.metadata
+        assert written.force[-1] > 0 and figure.stat().st_size > 1000
+
+    def test_torsion_has_angle_and_torque(self, elastic, capsys):
+        code = main(["simulate", "torsion", "--solid", "--material", elastic, "--radius-mm", "10", "--height-mm", "10",
+                     "--protocol", "ramp 20deg @1deg/s", "--points", "2", "--json"])
+        answer = json.loads(capsys.readouterr().out)
+        assert code == 0 and answer["angle_deg"] == pytest.approx([0.0, 20.0])
+        # M = pi psi a^4 C10 for C01 = 0.
+        assert answer["torque_Nm"][1] == pytest.approx(np.pi * np.radians(20.0) / 0.010 * 1e-8 * 1000.0, rel=0.005)
+        assert answer["grip_factor"][0] is None and answer["grip_factor"][1] == pytest.approx(1.0, abs=0.005)
+        assert "force_N" not in answer
+
+    @pytest.mark.parametrize(("words", "expected"), [
+        (["simulate", "simple_shear", "--depth-mm", "2"], "grip: must move along the axis for an axisymmetric solid"),
+        (["simulate", "torsion", "--solid"], "--protocol: is required for torsion. State an angle, such as"),
+        (["simulate", "torsion", "--solid", "--protocol", "ramp 2mm"], "must prescribe the motion of the grip; got"),
+        (["simulate", "torsion", "--solid", "--protocol", "ramp 9deg @1deg/s", "--noise-N", "0.1"],
+         "rig: must be ideal for angle and torque"),
+        (["simulate", "uniaxial_tension", "--friction", "0.3"], "--friction: does not apply to uniaxial_tension"),
+        (["simulate", "uniaxial_tension", "--gravity"], "--gravity: does not apply to uniaxial_tension"),
+        (["simulate", "planar_tension", "--solid"], "specimen: must be a block in planar tension; got"),
+        (["simulate", "equibiaxial_tension"], "equibiaxial_tension has no tool and is not simulated; use its closed"),
+        (["view", "uniaxial_tension"], "SCENE: must be a test with a tool in this command; the specimen of "
+         "uniaxial_tension is gripped. Use tissue-sim simulate uniaxial_tension; --figure draws"),
+        (["loop", "torsion"], "SCENE: must be a test with a tool in this command; the specimen of torsion is gripped"),
+    ])
+    def test_refusals_name_the_remedy(self, words, expected, elastic, capsys):
+        code = main([*words, "--material", elastic])
+        err = capsys.readouterr().err
+        assert code == 2 and expected in err and err.count("\n") == 1

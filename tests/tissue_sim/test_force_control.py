@@ -107,6 +107,17 @@ class TestHertz:
         found = ts.simulate(ts.Model(experiment, material), mesh=mesh)
         np.testing.assert_allclose(found.displacement[1:], depths[1:], rtol=1e-2)
 
+    def test_on_a_given_mesh_the_test_is_simulated_once(self, monkeypatch):
+        from tissue_sim import simulation
+
+        drives, drive = [], simulation.ToolDrive
+        monkeypatch.setattr(simulation, "ToolDrive", lambda *args, **options: drives.append(drive(*args, **options))
+                            or drives[-1])
+        mesh = cylinder_mesh_refined_under_tip(0.04, 0.07, 3e-3, Q9P1, smallest=1e-3, growth=2.0, largest=0.02)
+        found = simulated(ts.Protocol([0.0, 1.0], force=[0.0, 0.05]), tool=ts.Tool("sphere", self.RADIUS),
+                          friction="frictionless", mesh=mesh)
+        assert len(drives) == 1 and found.force[-1] == pytest.approx(0.05, rel=1e-8)
+
     @pytest.mark.slow
     def test_the_mesh_suits_the_depth_that_is_reached(self):
         """Without a stated depth: that of a test on a mesh for the known depth, within the error of the meshes."""

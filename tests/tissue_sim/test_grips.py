@@ -100,6 +100,13 @@ class TestSolid:
         np.testing.assert_allclose(recording.channel("Fx"), -recording.force, atol=1e-12)
         assert recording.metadata["solver"]["ends"] == "bonded to rigid grips"
 
+    def test_simple_shear_with_a_prescribed_force_and_back(self):
+        reference = simulate("simple_shear", CUBE, ts.Protocol([0.0, 1.0, 2.0], [0.0, 0.002, -0.002]), solver="solid")
+        assert reference.force[2] == pytest.approx(-reference.force[1], rel=1e-6)
+        protocol = ts.Protocol(reference.time, force=reference.force)
+        found = simulate("simple_shear", CUBE, protocol, solver="solid")
+        np.testing.assert_allclose(found.displacement, reference.displacement, rtol=1e-5, atol=1e-9)
+
     def test_torsion_has_angle_and_torque(self):
         recording = simulate("torsion", ts.Specimen(0.010, 0.012), ts.Protocol.parse(TURN, points=3), solver="solid")
         torque, force = compute_torque_and_axial_force(MOONEY.energy_law, MOONEY.values,

@@ -39,7 +39,7 @@ class GripMotion:
 
     def compute_force_against_motion(self, wrench: Screw) -> float:
         """Return minus the component along the axis of the force, N, or of the torque, N m, of a wrench on the grip."""
-        return -self._project(wrench)
+        return 0.0 - self._project(wrench)
 
     def compute_amount(self, pose: Pose, near: float) -> float:
         """Return the displacement, m, or the angle, rad, at a pose on the path; an angle within half a turn of `near`.
