@@ -1,13 +1,16 @@
 """Moduli from raw files with outliers, saturation, preloads, creep, relaxation or oscillation."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import calibration
 from calibration.importing.imported import make_json_dictionary_of_import
+from calibration.importing.motion import list_signal_based_assumptions
 from tissue_sim.errors import InputError
+from tissue_sim.recording.curve_units import FORCE_UNITS, TORQUE_UNITS
 
 HEAD = "Compression test\nDiameter,20,mm\nHeight,12,mm\n\nTime (s),Displacement (mm),Force (N)\n"
 TIME = np.arange(66) * 0.08
@@ -244,3 +247,13 @@ def test_a_lost_loading_of_a_creeping_material_is_not_fitted(tmp_path):
     load = np.where(time > 0, force(1.2), 9999.0) + noise(time.size, 0.01)
     imported = calibration.import_files([write(tmp_path, way, load, time)], tmp_path / "gel.toml", wishes())
     assert not imported.is_complete and "the loading from rest must be recorded" in imported.problem
+
+
+@pytest.mark.parametrize(("units", "quantity", "evidence"), [
+    (TORQUE_UNITS, "angle (ramp and hold)", "the angle is constant in a hold under load"),
+    (FORCE_UNITS, "displacement (ramp and hold)", "the displacement is constant in a hold under load")])
+def test_the_controlled_quantity_has_the_name_of_the_motion(units, quantity, evidence):
+    control = SimpleNamespace(equal_samples=0, quantity="displacement", pattern="ramp and hold")
+    screening = SimpleNamespace(control=control, left_out_sample_numbers=())
+    found, = list_signal_based_assumptions(screening, None, has_air=None, units=units)
+    assert found.subject == "controlled quantity" and found.value == quantity and found.evidence == (evidence,)
