@@ -215,6 +215,10 @@ def check_compressible_laws(table: FitTable, named: Mapping[str, ScopedCampaignP
     if not compressible:
         return
     name = compressible[0]
+    if table.stable:
+        raise InputError(f"must not be given with {name}: the constraint is too slow with a lateral equilibrium. Use "
+                         "hyperfoam_1, which is stable if mu1 > 0 and nu1 >= 0, or state fit.bounds",
+                         field="fit.stable")
     bulk = [key for key in named if named[key].path.startswith("bulk.")]
     if table.bulk_ratio is not None or bulk:
         raise InputError(f"must not be given with {name}, whose parameters state the volumetric response. Remove it; "
