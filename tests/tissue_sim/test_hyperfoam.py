@@ -161,6 +161,14 @@ def test_stability():
         assert (np.isfinite(hessian).all() and np.linalg.eigvalsh(hessian).min() > 0) == is_stable
 
 
+@pytest.mark.parametrize("alpha", [-14.0, -2.0, 3.0, 18.7])
+@pytest.mark.parametrize("nu", [0.0, 0.2, 0.42])
+def test_one_term_is_stable(alpha, nu):
+    """d(tau)/d(e) is the sum of two positive matrices, 2 mu l_i^alpha and 2 mu beta J^(-alpha beta), if nu >= 0."""
+    found = ts.find_stability_range(ts.find_law("hyperfoam_1"), [1000.0, alpha, nu])
+    assert found.is_stable_in_whole_range
+
+
 def test_histories_and_confined_compression_use_the_full_stress():
     material, stretch = make_material(), np.array([1.0, 0.9, 0.7])
     law = material.energy_law

@@ -114,6 +114,8 @@ def _is_stable_at_log_strains(law: Law, values: np.ndarray, strains: np.ndarray)
         return is_inside & (~np.isfinite(a * c) | ((a + c > 0) & (a * c - b * b > 0)))
 
 
+#: Rounding error of the determinant of a 3 x 3 matrix with the diagonal 1, 1; no evidence of instability.
+_ROUNDING = 1e-13
 #: Orthonormal basis of the volume-preserving logarithmic strains, shape (3, 2).
 _ISOCHORIC_BASIS = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])
 
@@ -158,7 +160,8 @@ def _is_stable_with_change_of_volume(law: Law, values: np.ndarray, stretch: np.n
         scale = 1.0 / np.sqrt(np.abs(np.einsum("nii->ni", h)))
         h = h * scale[:, :, None] * scale[:, None, :]
         minors = np.stack([h[:, 0, 0], h[:, 0, 0] * h[:, 1, 1] - h[:, 0, 1]**2, np.linalg.det(h)], axis=-1)
-        return np.isfinite(stretches).all(axis=-1) & ((minors > 0).all(axis=-1) | ~np.isfinite(minors).all(axis=-1))
+        is_positive = (minors > -_ROUNDING).all(axis=-1) | ~np.isfinite(minors).all(axis=-1)
+        return np.isfinite(stretches).all(axis=-1) & is_positive
 
 
 def find_stability_range(law: Law, values, stretch_range: tuple[float, float] = STRETCH_RANGE,
