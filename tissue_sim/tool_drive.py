@@ -32,8 +32,8 @@ class ToolSearchSettings:
         many_trials: number of trials after which `near_tolerance` is used.
         most_trials: largest number of trials for an increment of the force, or for a sample with a prescribed
             displacement.
-        most_sample_trials: largest number of trials for all increments of a sample; a smaller value ends the search
-            for a force that the tissue does not reach earlier, and may end a search with cut steps too early.
+        most_sample_trials: largest number of trials for all increments of a sample. A smaller value saves time if the
+            force cannot be reached, but may stop a search with cut steps before it converges.
         first_step: first displacement of the tool in force control, over the thickness of the specimen, 1.
         expansion: largest ratio of the change of the displacement to the change before it, while no trial is beyond the
             solution.
@@ -386,8 +386,8 @@ class ToolDrive:
                     return False
             assert force is not None
             residual, scale = goal.compute_residual(self.travel, force), goal.compute_scale(self.travel)
-            # Before the first contact every position in the air is a solution of a zero force; later the tool touches.
-            # A tool that pulls with a force that it loses in the air is closer to the tissue.
+            # Before the first contact, every position in the air gives the prescribed force 0. After it, a trial in the
+            # air is beyond the solution, for a force of 0 (the point of lift-off) and for a pulling force.
             is_in_air = force == 0.0 >= goal.value and not goal.displacement_weight and self._largest_force > 0.0
             lifts_off |= is_in_air and goal.value < 0.0
             closest = min(closest, (abs(residual), self.travel, force))

@@ -420,9 +420,9 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
     check_compressible_laws(table, named, [test.kind for test in tests])
     check_bulk_of_confined_tests(table, named, [test.kind for test in tests])
     if isinstance(noise.force_N, float | int) and all(test.states_stress for test in tests):
-        raise InputError(f"has an effect on tests with a force only; got {noise.force_N:g} N, and the tests have "
-                         "stress or torque. State nominal_stress_Pa, the noise of the stress (in torsion at the rim, "
-                         "2 M / (pi a^3)), or leave force_N out", field="noise.force_N")
+        raise InputError(f"must be left out, because no test has a force; got {noise.force_N:g} N. State "
+                         "nominal_stress_Pa, the noise of the stress (in torsion at the rim, 2 M / (pi a^3))",
+                         field="noise.force_N")
     by_path = {parameter.path: parameter for parameter in named.values()}
     start, fixed, prior, bounds = (
         {named[name].path: tuple(factor * end for end in value) if isinstance(value, tuple) else factor * value

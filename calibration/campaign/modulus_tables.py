@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 _NEIGHBOURS = 5
 #: Smallest relative noise of a modulus; exact synthetic tables would give zero.
 _SMALLEST_NOISE = 1e-9
-#: Keys of ``[[test]]`` without effect on a table of moduli -> remedy.
+#: Key of ``[[test]]`` without effect on a table of moduli -> reason, or remedy.
 _UNUSED_KEYS = {"specimen": "moduli do not depend on the sizes of the specimen",
                 "rig": "state readout.inertia_Pa_s2, readout.compliance_per_Pa or readout.delay_s in [fit.fixed]",
                 "protocol": "a table has no motion", "max_strain": "a table has no motion",
@@ -47,15 +47,16 @@ def list_moduli_of_table(entry: TestTable, columns: Mapping[str, Any] | None, me
     """
     if columns is None or "frequency" not in columns:
         if entry.pre_strain is not None:
-            raise InputError("pre_strain requires a table of storage and loss modulus with columns.frequency; leave "
-                             "pre_strain out", field=f"{field}.pre_strain")
+            raise InputError("pre_strain must be left out for a recording of a motion, because it applies to tables of "
+                             "storage and loss modulus. Remove pre_strain", field=f"{field}.pre_strain")
         return []
     if method == "analytical":
-        raise InputError("a table of storage and loss modulus requires fit.method = 'inverse_fem', which weights each "
-                         "test by its noise; closed forms are used all the same", field=f"{field}.columns.frequency")
+        raise InputError("fit.method must be 'inverse_fem' for a table of moduli, because it weights each test by its "
+                         "noise; got 'analytical'. Set fit.method = 'inverse_fem'; it also uses closed forms",
+                         field=f"{field}.columns.frequency")
     for key, remedy in _UNUSED_KEYS.items():
         if getattr(entry, key) is not None:
-            raise InputError(f"a table of storage and loss modulus does not use {key}; leave {key} out: {remedy}",
+            raise InputError(f"{key} must not be given for a table of storage and loss modulus: {remedy}. Remove {key}",
                              field=f"{field}.{key}")
     return list(MODULI)
 

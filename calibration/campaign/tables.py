@@ -194,11 +194,11 @@ def read_stable_stretches(table: FitTable) -> bool | tuple[float, float]:
     else:
         low, high = stretches = (float(table.stable[0]), float(table.stable[1]))
         if not 0.0 < low <= 1.0 <= high < float("inf"):
-            raise InputError(f"must be true, false or [lowest, highest] stretch around 1; got [{low:g}, {high:g}].",
-                             field="fit.stable")
+            raise InputError(f"must be true, false or a range of stretches that contains 1; got [{low:g}, {high:g}]. "
+                             "State a range such as [0.7, 1.5]", field="fit.stable")
     if stretches and table.method != "analytical":
-        raise InputError("requires fit.method = 'analytical'. Leave it out, and state fit.bounds instead",
-                         field="fit.stable")
+        raise InputError(f"must be false with fit.method = {table.method!r}. Remove it and state fit.bounds, or set "
+                         "fit.method = 'analytical'", field="fit.stable")
     return stretches
 
 
@@ -216,8 +216,9 @@ def check_compressible_laws(table: FitTable, named: Mapping[str, ScopedCampaignP
         return
     name = compressible[0]
     if table.stable:
-        raise InputError(f"must not be given with {name}: the constraint is too slow with a lateral equilibrium. Use "
-                         "hyperfoam_1, which is stable if mu1 > 0 and nu1 >= 0, or state fit.bounds",
+        raise InputError(f"must be false with {name}: the constrained fit takes minutes, because each step solves the "
+                         "lateral equilibrium. Use hyperfoam_1, which is stable if mu1 > 0 and nu1 >= 0, or state "
+                         "fit.bounds",
                          field="fit.stable")
     bulk = [key for key in named if named[key].path.startswith("bulk.")]
     if table.bulk_ratio is not None or bulk:

@@ -365,7 +365,7 @@ def summarise_diagnosis(verdict: Verdict, effects: Sequence[FoundEffect], titles
     if repeated:
         where.append(f"all recordings of {join_as_enumeration(repeated)} have a common signal in their residuals")
     unit, factor = ("kPa", 1e-3) if stressed else ("N", 1.0)
-    of_noise = "" if after is None else f"{before / noise:.2g} to {after / noise:.2g} of the noise"
+    of_noise = "" if after is None else f"{before / noise:.2g} to {after / noise:.2g} times the noise"
     closed = "" if after is None else f" The misfit falls from {of_noise}." if has_moduli else (
         f" The misfit falls from {factor * before:.2g} to {factor * after:.2g} {unit} ({of_noise}).")
     pairs = [(each.before_N, each.after_N) for each in unseen if each.before_N is not None and each.after_N is not None]

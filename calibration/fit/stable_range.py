@@ -144,6 +144,6 @@ def constrain_minima_to_stability(problem: OrdinaryProblem, minima: Sequence[tup
     if not found:
         return [], ()
     ratio = float(np.sqrt(found[0][0].error / best.error)) if best.error > 0 else np.inf
-    return found, (f"fit.stable is active: the best fit without it is unstable between the stretches {low:.3g} and "
-                   f"{high:.3g}, and its residual is smaller by a factor of {ratio:.3g}; standard errors are those "
-                   "without the constraint",)
+    return found, (f"fit.stable is active. Without it the law is unstable between the stretches {low:.3g} and "
+                   f"{high:.3g}. It increases the residual by a factor of {ratio:.3g}. The standard errors neglect "
+                   "the constraint",)

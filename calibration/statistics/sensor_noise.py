@@ -77,7 +77,7 @@ class ForceControlNoise:
 
     Attributes:
         displacement: standard deviation of the displacement, m.
-        force: standard deviation of the force, N: noise of the sensor, which the specimen does not feel.
+        force: standard deviation of the force sensor, N. This noise does not change the force on the specimen.
     """
 
     displacement: float

@@ -47,7 +47,7 @@ class ForceControlSettings:
             1 / gain. A larger value is faster. The control of a specimen whose tangent stiffness is r times the ratio
             of force and depth oscillates if the sensor is late by more than about 1 / (r gain).
         integral: gain of the integral of the error, 1/s^2, which removes the error during creep. With gain^2 / 16 the
-            control is damped four times critically in the absence of delay.
+            damping ratio of the closed loop without delay is 2.
         least_stiffness: smallest stiffness that the control assumes, over the largest stiffness of the specimen, 1. A
             smaller value follows softer specimens, and moves faster where the tool loses contact.
         window: time over which the force is averaged, s.
@@ -135,8 +135,11 @@ class ForceControlGuard:
                  settings: ForceControlSettings = FORCE_CONTROL):
         self._limits, self._contact_force, self._settings = limits, contact_force, settings
         self._measures_position = measures_position
-        #: Time since which the force has been wrong, and since which contact is lost, s; infinite: not now.
-        self._wrong_since = self._lost_since = math.inf
+        #: Start of the present error of the force, s; infinite without an error.
+        self._wrong_since = math.inf
+        #: Start of the present loss of contact, s; infinite in contact.
+        self._lost_since = math.inf
+        #: Whether at least half of the prescribed force has been reached.
         self._had_contact = False
         #: Time, s, depth, m, and commanded travel since then, m, of the present test for a stall.
         self._stall_test: tuple[float, float, float] | None = None
@@ -172,7 +175,8 @@ class ForceControlGuard:
         self._lost_since = min(self._lost_since, now) if is_lost else math.inf
         if now - self._lost_since > settings.lost_time:
             return StopReason("contact lost", f"the force fell to {force:.4g} N while {goal:.4g} N were prescribed: "
-                              "the specimen has ruptured or moved, or the sensor does not feel the tool; check both")
+                              "the specimen has ruptured or moved, or the sensor does not measure the force on the "
+                              "tool; check both")
         is_wrong = not abs(force - goal) <= limits.force_error
         self._wrong_since = min(self._wrong_since, now) if is_wrong else math.inf
         if now - self._wrong_since > settings.error_time:

@@ -107,7 +107,7 @@ def test_uniaxial_test_of_a_biaxial_machine(tmp_path):
         calibrate(tmp_path, make_test() + FIT)
 
 
-def test_what_is_wrong_is_refused(tmp_path):
+def test_invalid_biaxial_recordings_are_refused(tmp_path):
     stress = LAW.nominal_stress(STRETCH, TRUTH, "biaxial")
     write(tmp_path, "a", stress * [1.0, -1.0], time=TIME)
     with pytest.raises(ts.InputError, match=r"a\.csv has a force or stress of the wrong sign"):

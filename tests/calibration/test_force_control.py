@@ -68,7 +68,7 @@ def test_the_hereditary_integral_is_inverted():
     np.testing.assert_allclose(creeping, (1 - 0.4 * np.exp(-fine * 0.6 / 2.0)) / 0.6, rtol=1e-6)
 
 
-def test_intervals_of_creep_tests_hold_the_truth(creep, true):
+def test_intervals_of_creep_tests_contain_the_true_values(creep, true):
     """The mean error stays below half a standard error, and the scatter agrees with the standard errors."""
     found = creep.judge([creep.run_campaign(true, number, 7) for number in range(CAMPAIGNS)])
     for name, each in found.items():

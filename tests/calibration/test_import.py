@@ -208,7 +208,7 @@ def test_cycles_are_counted(tmp_path):
 
 @pytest.mark.parametrize(("content", "words"), [
     ("", "is empty"), ("just words\n", "holds no table of numbers"), ("\x00\x01\x02\x03", "binary"),
-    ("lambda1,lambda2,s1\n" + "1.1,1.0,0.2\n" * 9, "of which a motion or a load is missing; name the columns"),
+    ("lambda1,lambda2,s1\n" + "1.1,1.0,0.2\n" * 9, "without a motion or a load of one axis"),
     ("Time (s),Temperature (degC)\n" + "1,20\n" * 9, "a motion (displacement, stretch, strain) and a load"),
     ("1,2,3\n" * 9, "its 3 columns of numbers have no names; name the columns"),
     ("Time (s),Compression (mm),Load (N)\n" + "1,2,3\n" * 4, "holds no table of numbers"),
@@ -443,7 +443,7 @@ def test_a_file_without_names_shows_its_last_row(data_folder):
         calibration.import_files([path])
 
 
-def test_two_near_samples_of_a_digitised_curve_are_no_hold(data_folder):
+def test_two_close_samples_are_not_read_as_a_hold(data_folder):
     imported = calibration.import_files([data_folder / "brain_tension_damage" / "brain_gm2.csv"])
     motion, = imported.tests[0].parts[0].motions
     assert [segment.name for segment in motion.segments] == ["ramp", "failure"]

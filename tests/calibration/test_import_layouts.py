@@ -38,7 +38,7 @@ def test_a_table_of_two_directions_is_uniaxial_only_if_stated(tmp_path):
     assert imported.tests[0].kind == "uniaxial_tension"
 
 
-def test_a_lateral_strain_beside_one_force_is_no_second_direction(tmp_path):
+def test_lateral_strain_with_one_force_is_not_read_as_biaxial(tmp_path):
     strain = STRETCH - 1.0
     path = write_table(tmp_path, "strip.csv", "Strain xx,Strain yy,Stress (kPa)", strain, -0.4 * strain, 30 * strain)
     stated = calibration.InterpretationOverrides(kind="uniaxial_tension")
@@ -115,5 +115,5 @@ def test_the_gap_of_a_rheometer_is_counted_from_its_first_value(tmp_path):
 @pytest.mark.parametrize("header", ["Creep Compliance", "Relaxation Modulus"])
 def test_a_compliance_or_modulus_over_time_is_refused_with_the_remedy(tmp_path, header):
     path = write_table(tmp_path, "table.csv", f"Time,{header}", STRETCH, STRETCH)
-    with pytest.raises(ts.InputError, match=r"holds a ratio of strain and stress .* multiply a compliance by"):
+    with pytest.raises(ts.InputError, match=r"contains a creep compliance or a relaxation modulus .* multiply a compliance by"):
         calibration.import_files([path])

@@ -51,7 +51,7 @@ def test_joint_fits_reach_the_reference(rubber, tmp_path):
     assert compared["ogden_2"].sums[1] == pytest.approx(1.899, rel=1e-3)
 
 
-def test_half_of_the_biaxial_tests_predicts_the_rest(rubber, tmp_path):
+def test_fit_to_half_of_the_biaxial_series_predicts_the_other_half(rubber, tmp_path):
     """The sums of squares are those of SciPy's least squares; two terms of Ogden predict within 3 %."""
     points = treloar.read_biaxial_tests(rubber)
     fitted, predicted = treloar.split_biaxial_series(points)

@@ -389,7 +389,7 @@ def elastic(tmp_path_factory):
 
 
 class TestGrips:
-    def test_tension_prints_and_writes_what_the_grips_change(self, elastic, tmp_path, capsys):
+    def test_tension_reports_the_grip_factor(self, elastic, tmp_path, capsys):
         curve, figure = tmp_path / "pull.csv", tmp_path / "pull.png"
         code = main(["simulate", "uniaxial_tension", "--material", elastic, "--radius-mm", "10", "--height-mm", "20",
                      "--protocol", "ramp 10mm", "--points", "5", "-o", str(curve), "--figure", str(figure)])

@@ -200,7 +200,7 @@ class TestRig:
         np.testing.assert_allclose(followed[1:], found.force[1:], atol=1e-6)
 
     @pytest.mark.parametrize("force", ["1N", "0.5N"])
-    def test_a_held_force_takes_up_no_play(self, force):
+    def test_backlash_does_not_act_while_the_force_is_held(self, force):
         """An elastic specimen holds its depth: the stage rests; it takes up the play where the force turns only."""
         text = f"ramp 1N @0.5N/s; hold 2s; unload 0.3N; hold 2s; reload {force}; hold 2s"
         ideal, found = (simulated(text, rig=ts.Rig(backlash=play)) for play in (0.0, 0.1e-3))

@@ -60,7 +60,7 @@ class StrainHistory:
             that is not at rest.
         strain: stretch, or shear strain gamma, shape (n,); both stretches of the mode ``biaxial``: shape (n, 2).
         largest_step: largest change of log(stretch) or shear strain in a step; longer steps are divided.
-        has_first_load_only: whether stresses are those along the first abscissa only, shape (n,).
+        has_first_load_only: whether only the stress along the first abscissa is computed, shape (n,).
 
     Raises:
         InputError: another mode, different shapes, values that are not finite, decreasing time, a stretch of 0 or less.

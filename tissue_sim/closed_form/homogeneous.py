@@ -34,7 +34,7 @@ class ClosedForm:
 
     #: Whether the stress depends on the bulk modulus, so that it is a function of the material and not of the law.
     needs_bulk: ClassVar[bool] = False
-    #: Whether a subclass has the stress along the first abscissa of the mode of the law, with memory too.
+    #: Whether `stress` and `stress_history` of a subclass return the first stress of a mode that has several stresses.
     is_first_load_of_mode: ClassVar[bool] = False
     #: Whether the closed form holds for a law of full stretches, whose volume may change.
     includes_change_of_volume: ClassVar[bool] = True

@@ -111,7 +111,9 @@ class TorsionForm(ClosedForm):
 
 @dataclass(frozen=True)
 class AxialForceForm(TorsionForm):
-    """Load 0: 2 M / (pi a^3). Load 1: -N / (pi a^2), where -N pushes the ends apart; over the shear strain at the rim.
+    """Torque and axial force of a twisted cylinder, as stresses over the shear strain at the rim.
+
+    Load 0 is 2 M / (pi a^3). Load 1 is -N / (pi a^2), positive if the cylinder pushes the ends apart.
 
     Load 1 is int_0^1 (s_tt - 2 s_zz) x dx, with the normal stresses s minus the radial one in a simple shear gamma x.
     For Mooney-Rivlin it is gamma^2 (C10 + 2 C01) / 2.
@@ -170,7 +172,8 @@ class AxialForceForm(TorsionForm):
         """Return 2 M / (pi a^3) with memory; raise an `InputError` for the axial force, which has no such model."""
         if self.load == 0:
             return super().stress_history(material, time, abscissa, contact_radius)
-        raise InputError("must be elastic with an axial force. Use the kind torsion for the torque alone", field="kind")
+        raise InputError("must be 'torsion' for a material with memory; got 'torsion_axial_force'. Use torsion, or "
+                         "remove relaxation and softening", field="kind")
 
     def convert_motion_and_load(self, specimen: Specimen, motion: np.ndarray,
                                 load: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -170,7 +170,7 @@ class Experiment:
             raise InputError(f"the specimen has no tissue {abs(self.approach.offset) * 1e3:g} mm off the axis, "
                              f"{self.specimen.in_words}", field="approach.offset")
         if self.grip is not None:
-            self._require_gripped_specimen(self.grip)
+            self._check_gripped_experiment(self.grip)
         elif self.protocol.prescribes_angle:
             raise InputError("must prescribe displacements or forces of a tool; got angles. State lengths, such as "
                              "ramp 10mm", field="protocol")
@@ -221,24 +221,24 @@ class Experiment:
         if self.slip:
             self.with_slipping_faces_frictionless()
 
-    def _require_gripped_specimen(self, grip: GripMotion) -> None:
-        """Refuse what has no model between rigid grips.
+    def _check_gripped_experiment(self, grip: GripMotion) -> None:
+        """Check that the finite elements model the experiment with a gripped specimen.
 
         Raises:
             InputError: plates that are not bonded, a specimen that is not a prism, self-weight, a tilted face, slip, a
                 protocol of another quantity, or grips that meet.
         """
         if not (self.tool.is_plate and self.friction == self.resolved_base_interface == "bonded"):
-            raise InputError("must be 'bonded' at both grips, which are plates; got a "
-                             f"{self.tool.shape} with {self.friction!r}, and {self.resolved_base_interface!r}. Leave "
-                             "tool and interfaces out", field="friction")
+            raise InputError(f"both grips must be plates with bonded contact; got a {self.tool.shape} with "
+                             f"{self.friction!r} contact and a base with {self.resolved_base_interface!r} contact. "
+                             "Remove tool, friction and base interface", field="friction")
         if not self.specimen.is_prism:
             raise InputError(f"must have a constant cross-section between grips; got {self.specimen.in_words}. Use a "
                              "cylinder or a block", field="specimen")
-        for name, value in (("specimen.gravity", self.specimen.specific_weight), ("tilt", self.tilt),
-                            ("slip", self.slip or 0.0)):
+        gravity = self.specimen.gravity if self.specimen.specific_weight else 0.0
+        for name, value in (("specimen.gravity", gravity), ("tilt", self.tilt), ("slip", self.slip or 0.0)):
             if value:
-                raise InputError(f"must be 0 between grips; got {value:g}. Leave it out", field=name)
+                raise InputError(f"must be 0 for a gripped specimen; got {value:g}. Remove {name}", field=name)
         if self.protocol.prescribes_angle != grip.is_rotation:
             found, remedy = ("lengths or forces", "an angle, such as ramp 30deg @1deg/s") if grip.is_rotation else (
                 "angles", "a length, such as ramp 10mm")
@@ -246,7 +246,7 @@ class Experiment:
         closest = float(np.nanmin(np.append(grip.axis[2] * self.protocol.displacement, np.inf)))
         if not grip.is_rotation and closest <= -self.specimen.height:
             raise InputError(f"must be above {-self.specimen.height * 1e3:g} mm, where the grips meet; got "
-                             f"{closest * 1e3:g} mm", field="protocol")
+                             f"{closest * 1e3:g} mm. Prescribe a smaller displacement", field="protocol")
 
     def _make_default_base_interface(self) -> str:
         """Return the interface of the base if the experiment does not state one."""

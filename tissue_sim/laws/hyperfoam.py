@@ -20,9 +20,8 @@ class PoissonRatioSettings:
     Attributes:
         lowest: smallest value in a material, 1.
         highest: largest value in a material, 1; displacement elements become too stiff near 0.5.
-        smallest: smallest absolute value, 1, because the formula divides by beta. Smaller ones are replaced by it with
-            their sign. The stress then differs from the limit -alpha ln J of u by less than 1e-6; the energy loses 6 of
-            16 digits.
+        smallest: smallest absolute value, 1, because the energy is divided by beta. A smaller value is replaced by this
+            one, with its sign. The relative error of the stress is about 1e-6; the energy loses 6 of its 16 digits.
     """
 
     lowest: float = -0.9
@@ -37,7 +36,9 @@ _STARTS_BY_TERMS = {1: ((0.1, 0.3, 0.02, 0.45, -0.2),), 2: ((0.05, 0.35),)}
 
 
 class Hyperfoam(CompressibleLaw):
-    """W = sum over i of 2 mu_i / alpha_i^2 (l1^a + l2^a + l3^a - 3 + (J^(-a b) - 1) / b), a = alpha_i, b = beta_i.
+    """Hyperfoam law of Ogden and Storakers with N terms.
+
+    W = sum over i of 2 mu_i / alpha_i^2 (l1^a + l2^a + l3^a - 3 + (J^(-a b) - 1) / b), a = alpha_i, b = beta_i.
 
     beta_i = nu_i / (1 - 2 nu_i); mu0 = sum of mu_i; K0 = sum of 2 mu_i (1/3 + beta_i). If all nu_i are equal to nu, the
     lateral stretch in uniaxial loading is l^(-nu) at every strain.

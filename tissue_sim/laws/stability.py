@@ -114,7 +114,7 @@ def _is_stable_at_log_strains(law: Law, values: np.ndarray, strains: np.ndarray)
         return is_inside & (~np.isfinite(a * c) | ((a + c > 0) & (a * c - b * b > 0)))
 
 
-#: Rounding error of the determinant of a 3 x 3 matrix with the diagonal 1, 1; no evidence of instability.
+#: Rounding error of the determinant of a 3 x 3 matrix with unit diagonal. A minor above minus this value counts as 0.
 _ROUNDING = 1e-13
 #: Orthonormal basis of the volume-preserving logarithmic strains, shape (3, 2).
 _ISOCHORIC_BASIS = np.array([[1.0, 1.0], [-1.0, 1.0], [0.0, -2.0]]) / np.sqrt([2.0, 6.0])

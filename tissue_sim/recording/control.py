@@ -176,9 +176,9 @@ class ControlledQuantitySettings:
             the displacement in the first half.
         straight: largest deviation of a controlled channel from a line in time, as a fraction of the range.
         straighter: least ratio of the deviation of the other channel to the deviation of the controlled channel.
-        rising: least rise of the load in a hold of the displacement that is no hold, over the rise in this time at the
-            mean rate of the loading.
-        turn: fall of a channel that ends the first loading, as a fraction of its range.
+        rising: ratio of the loading rate in an apparent hold of the displacement to the mean loading rate, above which
+            the apparent hold belongs to the loading.
+        turn: decrease of a channel, as a fraction of its range, that marks the end of the first loading.
         undeformed: largest displacement of an undeformed specimen at the first sample, as a fraction of the range.
         fine_digit: last digit of a load, as a fraction of its level, below which a load without noise is not measured
             or is saturated: a fifth of the 1 % within which a creep test holds its load (ISO 899-1).

@@ -26,8 +26,8 @@ def add_storage_and_loss_modulus(recording: Recording) -> Recording:
     if "storage modulus" in recording and "loss modulus" in recording:
         return recording
     if "loss factor" not in recording:
-        raise InputError(f"two of storage modulus, loss modulus, or one modulus and the loss factor are needed; this "
-                         f"file has {', '.join(recording.channels)}", field="columns")
+        raise InputError(f"must contain storage modulus and loss modulus, or one modulus and the loss factor; got "
+                         f"{', '.join(recording.channels)}. Add the missing column", field="columns")
     factor = recording.channel("loss factor")
     if "complex modulus" in recording and "storage modulus" not in recording:
         storage = recording.channel("complex modulus") / np.hypot(1.0, factor)

@@ -19,8 +19,8 @@ from tissue_sim.rig.fault import RigFault
 from tissue_sim.rig.loading_curve import FirstLoadingCurveWithHistory
 from tissue_sim.settings import make_shallow_read_only_copy
 
-#: Smallest turn of the motion, over the backlash, in which the screw takes up the play.
-_LEAST_TURN = 1e-3
+#: Smallest reversal of the motion that moves the stage, as a fraction of the backlash.
+_LEAST_REVERSAL = 1e-3
 
 
 def compute_nut_positions_and_screw_samples(screw: np.ndarray, play: float) -> tuple[np.ndarray, np.ndarray]:
@@ -281,9 +281,9 @@ class Rig:
 
         Args:
             position: of the tool with a rigid load train, m.
-            before: position and reported displacement when the stage last moved, m; None: the first sample. The stage
-                rests, and this displacement is returned, while the tool turns back by at most `_LEAST_TURN` of the
-                backlash: the position at a held force is known to rounding only.
+            before: position and reported displacement, m, when the stage last moved; None at the first sample.
+                Reversals up to `_LEAST_REVERSAL` of the backlash are rounding errors of a held force: the stage then
+                stays at rest.
         """
         play = 0.0
         if before is not None:
@@ -291,7 +291,7 @@ class Rig:
             # The screw first takes up the play when the tool turns.
             play_before = before[0] - (before[1] - self.contact_offset) * (1.0 + self.displacement_gain)
             turns = play_before > 0.5 * self.backlash if change > 0 else play_before < 0.5 * self.backlash
-            if change == 0 or (turns and abs(change) <= _LEAST_TURN * self.backlash):
+            if change == 0 or (turns and abs(change) <= _LEAST_REVERSAL * self.backlash):
                 return before[1]
             play = self.backlash if change < 0 else 0.0
         return (position - play) / (1.0 + self.displacement_gain) + self.contact_offset

@@ -56,7 +56,7 @@ class VirtualStage(Stage):
 
     #: The stage exists in this program only.
     runs_on = 0.0
-    #: It accepts a command at every poll.
+    #: The virtual stage accepts a command at every poll.
     supports_force_control = True
 
     def __init__(self, limits: StageLimits, resolution: float = 1e-6, start_at: float = 0.0,

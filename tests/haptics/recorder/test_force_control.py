@@ -54,7 +54,7 @@ def run_creep(bench, specimen=None, protocol=CREEP, control=LIMITS, **options):
     return bench.run(plan=plan, rig=rig)
 
 
-def stop_of(bench, *arguments, **options):
+def run_until_stop(bench, *arguments, **options):
     """The error of a run that stops."""
     with pytest.raises(StoppedError) as error:
         run_creep(bench, *arguments, **options)
@@ -90,7 +90,7 @@ def test_noise_of_the_sensor_moves_the_stage_little(bench):
 def test_lost_contact_stops_the_stage(bench):
     """The specimen ruptures: the stage stops within a tenth of a second and does not plunge to the limit."""
     specimen = RupturingSpring(bench.clock, 1.0)
-    reason = stop_of(bench, specimen)
+    reason = run_until_stop(bench, specimen)
     assert reason.cause == "contact lost" and "the force fell to" in reason.message
     deepest = bench.virtual.stage.compute_tool_position_with_stall(bench.clock.now) - SURFACE
     assert deepest < 1.0 / STIFFNESS + 2 * FORCE_CONTROL.lost_time * LIMITS.speed
@@ -115,7 +115,8 @@ def seconds_to_hold(folder):
 def test_each_fault_stops_the_stage(bench, cause, fault, stiffness, control, tmp_path):
     """A fault during creep stops the run with its cause, and the stage is at rest."""
     faults = Faults() if fault is None else Faults(**{fault: seconds_to_hold(tmp_path / "faultless") + 0.2})
-    reason = stop_of(bench, Spring(stiffness) if fault is None else CreepingSpring(), control=control, faults=faults)
+    reason = run_until_stop(bench, Spring(stiffness) if fault is None else CreepingSpring(), control=control,
+                            faults=faults)
     assert reason.cause == cause, reason
     last = bench.virtual.stage._motions[-1]
     assert last.start == last.goal and last.goal < SURFACE + control.depth + 1e-4
@@ -187,7 +188,7 @@ class TestController:
         assert controller.compute_speed(0.0, 0.0, 0.0, 0.0, 0.01) == 0.0
         assert controller.compute_speed(0.0, 0.0, 1.0, 1e-3, 0.01) == pytest.approx(-LIMITS.speed, rel=1e-9)
 
-    def test_values_that_are_no_numbers_stop(self):
+    def test_nan_readings_stop_the_stage(self):
         assert ForceController(LIMITS, 1000.0).compute_speed(1.0, 0.0, math.nan, 1e-3, 0.01) == 0.0
         assert ForceControlGuard(LIMITS, 0.05, True).find_stop_reason(0.0, 1.0, 1.0, math.nan, 0.0).cause == "travel"
         reason = ForceControlGuard(LIMITS, 0.05, True).find_stop_reason(0.0, 1.0, math.nan, 1e-3, 0.0)

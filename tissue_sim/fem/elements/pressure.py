@@ -1,4 +1,4 @@
-"""Bulk modulus of the pressure in mixed elements; elements of a compressible law have no pressure."""
+"""Bulk modulus of the pressure in mixed elements; negligible for a compressible law."""
 
 import math
 
@@ -7,7 +7,7 @@ from tissue_sim.material.material import BULK_RATIOS, Material, compute_finite_b
 
 #: Largest K / mu0 of a compressible law in the finite elements, 1: a Poisson's ratio of 0.45. Displacement elements
 #: become too stiff above it.
-MOST_COMPRESSIBLE_LAW_RATIO = 10.0
+LARGEST_BULK_RATIO_OF_COMPRESSIBLE_LAW = 10.0
 #: Modulus of the pressure of the mixed elements over mu0 for a compressible law, 1. The pressure is then negligible, so
 #: that the elements are displacement elements.
 NEGLIGIBLE_BULK_RATIO = 1e-12
@@ -29,9 +29,9 @@ def compute_element_bulk_modulus(material: Material, radius: float, height: floa
     """
     ratio = material.bulk_modulus / material.mu0
     if material.bulk.kind == "of_law":
-        if ratio > MOST_COMPRESSIBLE_LAW_RATIO:
-            raise InputError(f"must give K/mu0 of at most {MOST_COMPRESSIBLE_LAW_RATIO:g} with {material.law} in "
-                             f"finite elements without pressure; got {ratio:.4g}. Use a law with a bulk response",
+        if ratio > LARGEST_BULK_RATIO_OF_COMPRESSIBLE_LAW:
+            raise InputError(f"must give K/mu0 of at most {LARGEST_BULK_RATIO_OF_COMPRESSIBLE_LAW:g} in displacement "
+                             f"elements; got {ratio:.4g} with {material.law}. Use a law with a bulk response",
                              field="parameters")
         return NEGLIGIBLE_BULK_RATIO * material.mu0
     if math.isinf(ratio):

@@ -265,8 +265,9 @@ def _refuse_kind_without_all_loads(guess: KindGuess, named: Sequence[NamedTest])
     own = next(each for each in named if each.kind == guess.kind)
     kind = KINDS[guess.kind or ""]
     unknown = KnownTestWithoutKind(kind.name, kind.title.lower(), (), (
-        f"a test with several loads ({', '.join(kind.load_names)}), and the table has one. Name the columns with "
-        f"--column, or state --kind{' equibiaxial_tension for equal stretches' if kind.has_several_motions else ''}"))
+        f"a test with {kind.load_count} loads ({', '.join(kind.load_names)}), and the table has one load. Name the "
+        "missing columns with --column"
+        f"{', or state --kind equibiaxial_tension if the stretches are equal' if kind.has_several_motions else ''}"))
     return KindGuess(None, guess.reason, refused=replace(own, kind=None, unknown=unknown))
 
 

@@ -78,8 +78,8 @@ def is_frequency_or_amplitude_sweep(headers: Sequence[str]) -> bool:
 def explain_refused_sweep(headers: Sequence[str]) -> str:
     """Return the reason why a table of moduli is not imported, in one sentence."""
     named = ", ".join(repr(header) for header in headers if header)
-    return (f"moduli over amplitude, or at fewer than {MIN_POINTS} frequencies, are not a recording (columns {named}); "
-            "give two moduli over frequency, or displacement and force, or strain and stress, against time")
+    return (f"moduli must be over at least {MIN_POINTS} frequencies; got the columns {named}. Give two moduli over "
+            "frequency, or displacement and force, or strain and stress, against time")
 
 
 def split_off_modulus_tables(source: FileContent, found: Sequence[NumberTable], hints: InterpretationOverrides,

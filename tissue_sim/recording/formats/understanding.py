@@ -115,10 +115,10 @@ def explain_missing_columns(found: Sequence[NumberTable], machine: MachineFormat
     bare = [numbers.get_header_without_unit(position).casefold().replace(" ", "").replace("_", "")
             for position in numbers.columns]
     if any({f"{word}1", f"{word}2"} <= set(bare) for word in ("lambda", "stretch", "λ")):
-        return (f"is a biaxial test ({has}), of which a motion or a load is missing; name the columns of both axes "
+        return (f"is a biaxial test without a motion or a load of one axis ({has}). Name the columns of both axes "
                 "with --column. Rows with a stress-free second axis are of kind uniaxial_tension")
     if any(name in ("creepcompliance", "relaxationmodulus") for name in bare):
-        return (f"holds a ratio of strain and stress over time ({has}), from which a test is not read; multiply a "
+        return (f"contains a creep compliance or a relaxation modulus ({has}), which import cannot read; multiply a "
                 "compliance by the held stress, or a modulus by the held strain, and add a column of the held quantity")
     sizes = {position for position, _ in iterate_constant_size_columns(numbers)}
     known = {role for position in numbers.columns if position not in sizes
