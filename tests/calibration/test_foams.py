@@ -86,7 +86,7 @@ def test_confined_compression_needs_no_bulk_modulus(tmp_path):
     ("lubricated_compression", "start = {\"bulk.K_Pa\" = 1e4}", r"fit\.start\.bulk\.K_Pa.*must not be given with"),
     ("lubricated_compression", "start = {\"viscoelastic.terms[0].g\" = 0.2, \"viscoelastic.terms[0].tau_s\" = 1.0}",
      r"viscoelastic.*must not be fitted with hyperfoam"),
-    ("lubricated_compression", "stable = true", r"fit\.stable.*must not be given with hyperfoam.*Use hyperfoam_1"),
+    ("lubricated_compression", "stable = true", r"fit\.stable.*must be false with hyperfoam.*Use hyperfoam_1"),
     ("torsion", "", r"fit\.laws.*torsion has a closed form of constant volume only"),
 ])
 def test_refusals(kind, line, message, tmp_path):

@@ -115,5 +115,5 @@ def test_the_gap_of_a_rheometer_is_counted_from_its_first_value(tmp_path):
 @pytest.mark.parametrize("header", ["Creep Compliance", "Relaxation Modulus"])
 def test_a_compliance_or_modulus_over_time_is_refused_with_the_remedy(tmp_path, header):
     path = write_table(tmp_path, "table.csv", f"Time,{header}", STRETCH, STRETCH)
-    with pytest.raises(ts.InputError, match=r"contains a creep compliance or a relaxation modulus .* multiply a compliance by"):
+    with pytest.raises(ts.InputError, match=r"contains a creep compliance .* multiply a compliance by"):
         calibration.import_files([path])

@@ -63,8 +63,8 @@ def test_torsion_has_no_noise_of_a_force(tmp_path):
     noise = 2e-5
     write_recording(tmp_path, "torsion", angle=angle, torque=torque + np.random.default_rng(2).normal(0.0, noise, 201))
     path = write_campaign(tmp_path, ("torsion",), 'laws = ["neo_hooke"]\n\n[noise]\nforce_N = 0.01')
-    with pytest.raises(ts.InputError, match=r"noise\.force_N: must be left out, because no test has a force; got 0\.01 N.*"
-                                            "State nominal_stress_Pa"):
+    with pytest.raises(ts.InputError, match=r"noise\.force_N: must be left out, because no test has a force; "
+                                            r"got 0\.01 N.*State nominal_stress_Pa"):
         calibration.calibrate([path], tmp_path / "out", figures=False)
     stress = 2.0 * noise / (np.pi * RADIUS**3)
     path = write_campaign(tmp_path, ("torsion",), f'laws = ["neo_hooke"]\n\n[noise]\nnominal_stress_Pa = {stress}')

@@ -181,7 +181,7 @@ class TestErrors:
                 read_measured_curves(campaign)
 
     def test_analytical_method(self, tmp_path):
-        self.require_error(tmp_path, r"columns.frequency: a table of storage and loss modulus requires fit.method",
+        self.require_error(tmp_path, r"columns.frequency: fit.method must be 'inverse_fem' for a table of moduli",
                            replace=("inverse_fem", "analytical"))
 
     @pytest.mark.parametrize("keys", ["max_strain = 0.1", "speed_mm_s = 1.0", "rig = 'a.toml'"])
