@@ -5,8 +5,8 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.closed_form.confined import CONFINED
-from tissue_sim.closed_form.histories import compute_stress_history
-from tissue_sim.closed_form.torsion import TORSION, compute_torque_and_axial_force
+from tissue_sim.closed_form.histories import StrainHistory, compute_stress_history
+from tissue_sim.closed_form.torsion import TORSION, TORSION_WITH_AXIAL_FORCE, compute_torque_and_axial_force
 from tissue_sim.laws.modes import MODES
 from tissue_sim.material.material import with_changed_or_added_parameters
 
@@ -182,6 +182,47 @@ def test_histories_and_confined_compression_use_the_full_stress():
                                       getattr(law, mode)(stretch, material.values, "confined"))
 
 
+@pytest.mark.parametrize(("mode", "expected"), [("uniaxial", 2600.0), ("planar", 2600.0 / 0.91),
+                                                ("equibiaxial", 2600.0 / 0.7), ("simple_shear", 1000.0),
+                                                ("confined", 3500.0)])
+def test_complex_modulus_at_rest_is_that_of_isotropic_elasticity(mode, expected):
+    """mu 1000 Pa, nu 0.3: E, E / (1 - nu^2), E / (1 - nu), mu and the aggregate modulus 2 mu (1 - nu) / (1 - 2 nu)."""
+    material = make_material("hyperfoam_1")
+    np.testing.assert_allclose(ts.complex_modulus(material, [0.1, 10.0], mode), expected, rtol=2e-6)
+    kind = next(kind for kind in ts.KINDS.values() if kind.closed_form is not None
+                and (kind.closed_form is CONFINED if mode == "confined" else kind.closed_form.law_mode == mode))
+    np.testing.assert_allclose(kind.closed_form.complex_modulus(material, np.array([1.0])), expected, rtol=2e-6)
+
+
+@every_mode
+def test_complex_modulus_about_a_pre_strain_is_the_slope_of_the_stress(mode):
+    material, at, h = make_material(), 0.8, 1e-5
+    stress = material.energy_law.nominal_stress(np.array([at - h, at + h]), material.values, mode)
+    np.testing.assert_allclose(ts.complex_modulus(material, [1.0], mode, at), np.diff(stress) / (2.0 * h), rtol=1e-6)
+
+
+def test_histories_of_constant_volume_refuse_the_law():
+    material = make_material()
+    for mode in MODES:
+        with pytest.raises(ts.InputError, match="in a history of constant volume; got hyperfoam_2"):
+            StrainHistory(mode, np.arange(2.0), np.array([1.0, 1.1])).nominal_stress(material.energy_law,
+                                                                                     material.values)
+
+
+@pytest.mark.parametrize("form", [TORSION, TORSION_WITH_AXIAL_FORCE, TORSION_WITH_AXIAL_FORCE.select_load(1)])
+def test_torsion_refuses_the_law_in_every_method(form):
+    material, shear = make_material(), np.array([0.0, 0.1])
+    law, values = material.energy_law, material.values
+    calls = [lambda: form.stress(law, shear, values), lambda: form.slope(law, shear, values),
+             lambda: form.stress_parameter_derivatives(law, shear, values)]
+    if form.has_history:
+        calls += [lambda: form.stress_history(material, np.arange(2.0), shear, 0.01),
+                  lambda: form.complex_modulus(material, np.array([1.0]))]
+    for call in calls:
+        with pytest.raises(ts.InputError, match="in torsion; got hyperfoam_2"):
+            call()
+
+
 def test_results_of_repeated_calls_are_independent():
     """The stresses of equal arguments come from a cache; a caller may change them."""
     law, values = ts.find_law("hyperfoam_1"), PARAMETERS["hyperfoam_1"]
@@ -204,8 +245,6 @@ def test_refusals():
         ts.Material("hyperfoam", values | {"nu1": 0.5})
     with pytest.raises(ts.InputError, match="positive bulk modulus"):
         ts.Material("hyperfoam_2", {"mu1": 1e3, "alpha1": 2.0, "nu1": 0.1, "mu2": -900.0, "alpha2": 2.0, "nu2": 0.4})
-    with pytest.raises(ts.InputError, match="in torsion; got hyperfoam_1"):
-        TORSION.stress(law, np.array([0.1]), PARAMETERS["hyperfoam_1"])
     with pytest.raises(ts.InputError, match="in torsion; got hyperfoam_1"):
         compute_torque_and_axial_force(law, PARAMETERS["hyperfoam_1"], 10.0, 0.01)
 

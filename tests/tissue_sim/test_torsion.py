@@ -87,6 +87,15 @@ def test_history_relaxes_as_the_material():
     assert held[1] == pytest.approx(float(TORSION.stress(material.energy_law, 0.5, material.values)), rel=1e-9)
 
 
+def test_axial_force_has_no_history():
+    material = ts.Material("mooney_rivlin", {"C10": 1000.0, "C01": 500.0})
+    form = TORSION_WITH_AXIAL_FORCE.select_load(1)
+    for call in (lambda: form.stress_history(material, np.arange(2.0), np.array([0.0, 0.1]), RADIUS),
+                 lambda: form.complex_modulus(material, np.array([1.0]))):
+        with pytest.raises(ts.InputError, match="must be elastic with an axial force"):
+            call()
+
+
 @EVERY
 def test_solid_with_held_ends(name):
     """Torsion changes no radius and warps no section, so that held ends change nothing."""

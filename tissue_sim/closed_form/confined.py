@@ -64,10 +64,8 @@ class ConfinedForm(ClosedForm):
         """
         import numpy as np
 
-        bulk_modulus = self._require_bulk_modulus(material)
+        bulk_modulus = self._require_added_bulk_modulus(material)
         isochoric = super().stress_history(material, time, abscissa, contact_radius)
-        if material.energy_law.is_compressible:
-            return isochoric
         return isochoric + bulk_modulus * (np.asarray(abscissa, dtype=float) - 1.0)
 
     def complex_modulus(self, material: Material, frequency: np.ndarray, abscissa: float | None = None,
@@ -78,7 +76,7 @@ class ConfinedForm(ClosedForm):
             InputError: as in `stress_history`, or an invalid frequency or stretch.
         """
         isochoric = super().complex_modulus(material, frequency, abscissa, contact_radius)
-        return isochoric + self._require_bulk_modulus(material)
+        return isochoric + self._require_added_bulk_modulus(material)
 
     def strain_history(self, material: Material, time: np.ndarray, nominal_stress: np.ndarray,
                        contact_radius: float) -> np.ndarray:
@@ -90,11 +88,17 @@ class ConfinedForm(ClosedForm):
         from tissue_sim.closed_form.creep import compute_strain_history
 
         return compute_strain_history(self.law_mode, material, time, nominal_stress, contact_radius,
-                                      self._require_bulk_modulus(material))
+                                      self._require_added_bulk_modulus(material))
 
     @staticmethod
-    def _require_bulk_modulus(material: Material) -> float:
-        """Return the bulk modulus, Pa; raise an `InputError` if it is infinite."""
+    def _require_added_bulk_modulus(material: Material) -> float:
+        """Return the bulk modulus that the law does not contain, Pa: 0 for a compressible law.
+
+        Raises:
+            InputError: the bulk modulus is infinite.
+        """
+        if material.energy_law.is_compressible:
+            return 0.0
         if math.isinf(material.bulk_modulus):
             raise InputError("must be finite in confined compression, which changes the volume; got an incompressible "
                              "material. State bulk.K_Pa or another bulk response", field="bulk")

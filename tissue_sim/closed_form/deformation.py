@@ -80,7 +80,7 @@ class _PrincipalDeformation(HomogeneousDeformation):
 
 
 class StretchDeformation(_PrincipalDeformation):
-    """Deformation of constant volume; the direction 3 is free of stress.
+    """Deformation of constant volume; the direction 3 is free of stress. A compressible law is refused.
 
     The components of S are S_11 (for two abscissas S_11 and S_22) and S_33.
 
@@ -97,7 +97,14 @@ class StretchDeformation(_PrincipalDeformation):
         return stretches, stretches[:, [*range(self.count), 2]]
 
     def compute_energy_and_stress(self, law: Law, values, abscissa: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return energy and S_ii = tau_i / l_i^2; see the base class."""
+        """Return energy and S_ii = tau_i / l_i^2; see the base class.
+
+        Raises:
+            InputError: a compressible law, whose free stretches follow from equilibrium.
+        """
+        if law.is_compressible:
+            raise InputError(f"must be a law without volumetric response in a history of constant volume; got "
+                             f"{law.name}. Use compute_stress_history, or law.nominal_stress", field="law")
         stretches, used = self._compute_loaded_and_free_stretches(abscissa)
         energy, tau = law.compute_energy_and_kirchhoff_stresses(stretches, values)
         return energy, tau[:, [*range(self.count), 2]] / used**2

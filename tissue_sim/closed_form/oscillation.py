@@ -40,10 +40,11 @@ def complex_modulus(material: Material, frequency, mode: str = "uniaxial", pre_s
     modulus is that after the first cycle, whose largest strain the others do not exceed.
 
     Args:
-        material: law, relaxation, drainage and softening; the material is treated as incompressible.
+        material: law, relaxation, drainage and softening; the material is treated as incompressible unless its law is
+            compressible. Such a material is elastic, and its modulus is the slope of the nominal stress.
         frequency: Hz, shape (n,) or a number.
         mode: ``"uniaxial"`` (E' and E''), ``"simple_shear"`` (G' and G''), ``"planar"``, ``"equibiaxial"`` or
-            ``"confined"``, without the bulk modulus. For a kind of test use
+            ``"confined"``, without the bulk modulus unless it is that of the law. For a kind of test use
             `tissue_sim.closed_form.homogeneous.ClosedForm.complex_modulus`.
         pre_strain: stretch, or shear strain, about which the specimen oscillates, fully relaxed; None: undeformed.
         contact_radius: radius of the specimen, m, for the time of drainage.
@@ -74,7 +75,11 @@ def complex_modulus(material: Material, frequency, mode: str = "uniaxial", pre_s
     require_homogeneous_material(material)
     if material.viscoelastic is not None:
         material.viscoelastic.require_represented_frequencies(frequency)
-    energy, stress = form.compute_energy_and_stress(material.energy_law, material.values, strain)
+    law = material.energy_law
+    if law.is_compressible:
+        slope = float(law.nominal_stress_slope(rest, material.values, mode))
+        return np.full(frequency.size, _require_inside_domain(slope, rest), dtype=complex)
+    energy, stress = form.compute_energy_and_stress(law, material.values, strain)
     weights = form.compute_nominal_stress_weights(strain)[:, 0, :]
     rates = _DIFFERENCES[1] / DIFFERENCE_STEP
     stress_rate, factor = rates @ stress, material.instantaneous_over_law_modulus_ratio
@@ -82,13 +87,19 @@ def complex_modulus(material: Material, frequency, mode: str = "uniaxial", pre_s
         slope = _compute_softening_slope(material.softening, factor * float(energy[2]))
         stress_rate = stress_rate + stress[2] * slope * factor * (rates @ energy)
     geometric, tangent = factor * float((rates @ weights) @ stress[2]), factor * float(weights[2] @ stress_rate)
-    if not (np.isfinite(geometric) and np.isfinite(tangent)):
-        raise InputError(f"must be inside the domain of the law; got {rest:g}.", field="pre_strain")
+    _require_inside_domain(geometric + tangent, rest)
     prony = material.make_prony_series(contact_radius)
     if prony is None:
         return np.full(frequency.size, geometric + tangent, dtype=complex)
     relative = prony.compute_relative_complex_modulus(frequency)
     return (1.0 - prony.relaxing_fraction) * geometric + tangent * relative
+
+
+def _require_inside_domain(modulus: float, pre_strain: float) -> float:
+    """Return a modulus, Pa; raise an `InputError` if it is not finite, as outside of the domain of the law."""
+    if not np.isfinite(modulus):
+        raise InputError(f"must be inside the domain of the law; got {pre_strain:g}.", field="pre_strain")
+    return modulus
 
 
 def _compute_softening_slope(softening: Softening, energy: float) -> float:

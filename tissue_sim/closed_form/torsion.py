@@ -45,38 +45,45 @@ class TorsionForm(ClosedForm):
 
     The abscissa is the shear strain at the rim, gamma = psi a. The nominal stress is 2 M / (pi a^3), the mean of the
     shear stress tau over the section with the weight of its lever arm: 4 int_0^1 tau(gamma x) x^2 dx. At small strain
-    it is mu0 gamma, as in simple shear. The volume is constant; a compressible cylinder would change its radius.
+    it is mu0 gamma, as in simple shear. The volume is constant. A compressible cylinder would change its
+    radius, and every method refuses a compressible law.
     """
 
     includes_change_of_volume: ClassVar[bool] = False
 
-    def _average(self, evaluate: Callable[[np.ndarray], np.ndarray], abscissa: np.ndarray, power: int) -> np.ndarray:
-        """Return 4 int_0^1 evaluate(abscissa x) x^power dx; `evaluate` may append axes to its argument's shape."""
+    def _average(self, law: Law, evaluate: Callable[[np.ndarray], np.ndarray], abscissa: np.ndarray,
+                 power: int) -> np.ndarray:
+        """Return 4 int_0^1 evaluate(abscissa x) x^power dx; `evaluate` may append axes to its argument's shape.
+
+        Raises:
+            InputError: a compressible law.
+        """
         import numpy as np
 
+        _require_constant_volume(law)
         points, weights = _make_radial_rule()
         values = [evaluate(x * np.asarray(abscissa, dtype=float)) for x in points]
         return np.tensordot(4.0 * weights * points**power, np.array(values), axes=1)
 
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return 2 M / (pi a^3), Pa, shape of `abscissa`; raise an `InputError` for a compressible law."""
-        _require_constant_volume(law)
-        return self._average(lambda shear: law.nominal_stress(shear, values, self.law_mode), abscissa, 2)
+        return self._average(law, lambda shear: law.nominal_stress(shear, values, self.law_mode), abscissa, 2)
 
     def slope(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return the derivative of `stress` with respect to the abscissa, Pa, shape of `abscissa`."""
-        return self._average(lambda shear: law.nominal_stress_slope(shear, values, self.law_mode), abscissa, 3)
+        return self._average(law, lambda shear: law.nominal_stress_slope(shear, values, self.law_mode), abscissa, 3)
 
     def stress_parameter_derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return the derivatives of `stress` with respect to m parameters, shape (*abscissa.shape, m)."""
-        return self._average(lambda shear: law.nominal_stress_parameter_derivatives(shear, values, self.law_mode),
-                             abscissa, 2)
+        return self._average(
+            law, lambda shear: law.nominal_stress_parameter_derivatives(shear, values, self.law_mode), abscissa, 2)
 
     def stress_history(self, material: Material, time: np.ndarray, abscissa: np.ndarray,
                        contact_radius: float) -> np.ndarray:
         """Return 2 M / (pi a^3) of a motion with relaxation and softening, Pa; see `ClosedForm.stress_history`."""
         history = super().stress_history
-        return self._average(lambda shear: history(material, time, shear, contact_radius), abscissa, 2)
+        return self._average(material.energy_law, lambda shear: history(material, time, shear, contact_radius),
+                             abscissa, 2)
 
     def complex_modulus(self, material: Material, frequency: np.ndarray, abscissa: float | None = None,
                         contact_radius: float | None = None) -> np.ndarray:
@@ -84,7 +91,8 @@ class TorsionForm(ClosedForm):
         import numpy as np
 
         at_shear = super().complex_modulus
-        return self._average(lambda shear: at_shear(material, frequency, float(shear), contact_radius),
+        return self._average(material.energy_law,
+                             lambda shear: at_shear(material, frequency, float(shear), contact_radius),
                              np.array(abscissa or 0.0), 3)
 
     def strain_history(self, material: Material, time: np.ndarray, nominal_stress: np.ndarray,
@@ -133,7 +141,7 @@ class AxialForceForm(TorsionForm):
         """Return the closed form of the load that follows this one by `number`."""
         return replace(self, load=(self.load + number) % 2)
 
-    def _average_normal_stress(self, evaluate: Callable, shear: np.ndarray) -> np.ndarray:
+    def _average_normal_stress(self, law: Law, evaluate: Callable, shear: np.ndarray) -> np.ndarray:
         """Return load 1 of the nominal stresses `evaluate(stretches)`, of shapes (..., 2) or (..., 2, m)."""
         import numpy as np
 
@@ -147,13 +155,12 @@ class AxialForceForm(TorsionForm):
             found = 1.5 * cosine * (first - second) - 0.5 * (first + second)
             return found if nominal.ndim > stretch.ndim else found[..., 0]
 
-        return 0.25 * self._average(compute_difference, shear, 1)
+        return 0.25 * self._average(law, compute_difference, shear, 1)
 
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return the stress of the load, Pa, shape of `abscissa`."""
-        _require_constant_volume(law)
         return super().stress(law, abscissa, values) if self.load == 0 else self._average_normal_stress(
-            lambda both: law.nominal_stress(both, values, "biaxial"), abscissa)
+            law, lambda both: law.nominal_stress(both, values, "biaxial"), abscissa)
 
     def slope(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return the derivative of `stress` with respect to the abscissa, Pa; of load 1 by central differences."""
@@ -164,16 +171,26 @@ class AxialForceForm(TorsionForm):
     def stress_parameter_derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
         """Return the derivatives of `stress` with respect to m parameters, shape (..., m)."""
         return super().stress_parameter_derivatives(law, abscissa, values) if self.load == 0 else \
-            self._average_normal_stress(lambda both: law.nominal_stress_parameter_derivatives(both, values, "biaxial"),
-                                        abscissa)
+            self._average_normal_stress(
+                law, lambda both: law.nominal_stress_parameter_derivatives(both, values, "biaxial"), abscissa)
 
     def stress_history(self, material: Material, time: np.ndarray, abscissa: np.ndarray,
                        contact_radius: float) -> np.ndarray:
         """Return 2 M / (pi a^3) with memory; raise an `InputError` for the axial force, which has no such model."""
-        if self.load == 0:
-            return super().stress_history(material, time, abscissa, contact_radius)
-        raise InputError("must be 'torsion' for a material with memory; got 'torsion_axial_force'. Use torsion, or "
-                         "remove relaxation and softening", field="kind")
+        self._require_torque()
+        return super().stress_history(material, time, abscissa, contact_radius)
+
+    def complex_modulus(self, material: Material, frequency: np.ndarray, abscissa: float | None = None,
+                        contact_radius: float | None = None) -> np.ndarray:
+        """Return the complex modulus of 2 M / (pi a^3); raise an `InputError` for the axial force."""
+        self._require_torque()
+        return super().complex_modulus(material, frequency, abscissa, contact_radius)
+
+    def _require_torque(self) -> None:
+        """Raise an `InputError` for the axial force, which has no model of relaxation."""
+        if self.load != 0:
+            raise InputError("must be 'torsion' for a material with memory; got 'torsion_axial_force'. Use torsion, or "
+                             "remove relaxation and softening", field="kind")
 
     def convert_motion_and_load(self, specimen: Specimen, motion: np.ndarray,
                                 load: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
