@@ -5,6 +5,7 @@ A test of a kind with several loads belongs to one of them; its recordings conta
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import numpy as np
 from calibration.campaign.campaign import Test
 from tissue_sim.errors import InputError
 from tissue_sim.laws import find_law
+from tissue_sim.recording.measures import MEASURES, get_original_measures
 from tissue_sim.recording.recording import Recording
 from tissue_sim.specimen.specimen import add_indefinite_article
 
@@ -37,23 +39,44 @@ class MotionAndLoads:
     motions: np.ndarray | None = None
 
 
-def read_motion_and_loads(recording: Recording, test: Test, path: Path) -> MotionAndLoads:
+def read_motion_and_loads(recording: Recording, test: Test, path: Path, laws: Sequence[str]) -> MotionAndLoads:
     """Return the motion and the loads of a recording.
 
     Args:
         recording: recording of the test.
         test: test of the campaign.
         path: file of the recording, for messages.
+        laws: names of the laws of the fit.
 
     Raises:
-        InputError: missing channels, one of several loads that is zero at all samples, or sizes of the specimen that do
-            not convert the channels.
+        InputError: missing channels, one of several loads that is zero at all samples, sizes of the specimen that do
+            not convert the channels, or a true stress that was converted at constant volume but must not be.
     """
+    _require_true_stress_at_constant_volume(recording, test, path, laws)
     found = _read_motion_and_loads(recording, test, path)
     if len(found.loads) > 1 and not found.loads[0].any():
         raise InputError(f"{path.name} must have a load in {test.kind.channels[-1][1]!r}; all samples are 0. Fit the "
                          "other load by a kind with one load, such as uniaxial_tension", field="recordings")
     return found
+
+
+def _require_true_stress_at_constant_volume(recording: Recording, test: Test, path: Path, laws: Sequence[str]) -> None:
+    """Raise an `InputError` if true stress over stretch is not the nominal stress: the volume or the area differs.
+
+    Simple shear needs no conversion, and the second Piola-Kirchhoff stress times the stretch is exact at any volume.
+    """
+    axes = [channel[len("nominal stress"):] for channel, measure in get_original_measures(recording).items()
+            if measure is MEASURES["true"]]
+    if not any(f"stretch{axis}" in recording for axis in axes):
+        return
+    if test.kind.has_lateral_wall:
+        raise InputError(f"{path.name} must have nominal stress, which equals the true one between walls; got measure "
+                         "= \"true\". Leave measure out (import: --measure stress=engineering)", field="recordings")
+    name = next((name for name in laws if find_law(name).is_compressible), None)
+    if name is not None:
+        raise InputError(f"{path.name} must have nominal stress with {name}; got true stress, whose "
+                         "conversion assumes constant volume. Record force over undeformed area, or leave out the law",
+                         field="recordings")
 
 
 def _read_motion_and_loads(recording: Recording, test: Test, path: Path) -> MotionAndLoads:

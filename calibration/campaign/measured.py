@@ -347,7 +347,7 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
     material, closed = campaign.fit.placeholder_material_with_effects, campaign.fit.method == "analytical" \
         or test.experiment is None
     require_matching_specimen_metadata(recording, test, campaign, path)
-    read = read_motion_and_loads(recording, test, path)
+    read = read_motion_and_loads(recording, test, path, campaign.fit.laws)
     loads, stressed, motions = read.loads, read.stressed, read.motions
     displacement, force = read.displacement, combine_loads(read.displacement, loads)
     require_closed_form_support_if_used(test, material, stressed, closed, path)

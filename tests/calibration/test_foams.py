@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import least_squares
 
 import tissue_sim as ts
-from calibration import calibrate
+from calibration import ImportOptions, InterpretationOverrides, calibrate, import_files
 
 #: Name of the file -> kind of test, channel of its abscissa.
 TESTS = {"UT": ("uniaxial_tension", "stretch"), "UC": ("lubricated_compression", "stretch"),
@@ -79,6 +79,48 @@ def test_confined_compression_needs_no_bulk_modulus(tmp_path):
     path = write_campaign(tmp_path, curves, ['laws = ["hyperfoam"]'], specimen)
     result, = calibrate([path], tmp_path / "out", figures=False)
     np.testing.assert_allclose(list(result.fits[0].parameters.values()), exact, rtol=1e-5)
+
+
+def write_true_stress_campaign(folder, kind, mode, laws, measure="true"):
+    """Write stretch and true stress of a foam with mu 10 kPa, alpha 4, nu 0.2, and their campaign."""
+    stretch, law = np.linspace(1.0, 0.7, 30), ts.find_law("hyperfoam_1")
+    stretches = law.compute_principal_stretches(stretch, [1e4, 4.0, 0.2], mode)
+    _, tau = law.compute_energy_and_kirchhoff_stresses(stretches, [1e4, 4.0, 0.2])
+    np.savetxt(folder / "foam.csv", np.stack([stretch, tau[:, 0] / stretches.prod(axis=1)], axis=-1), delimiter=",",
+               header="stretch,true stress (Pa)", comments="")
+    stress = '"true stress (Pa)"' if measure is None else f'{{name = "true stress (Pa)", measure = "{measure}"}}'
+    (folder / "study.toml").write_text("\n".join([
+        '[[specimen]]', 'name = "foam"', "radius_mm = 20", "height_mm = 20",
+        "[[test]]", 'name = "foam"', f'kind = "{kind}"', 'recordings = ["foam.csv"]', 'specimen = "foam"',
+        "[test.columns]", 'stretch = "stretch"', f'"nominal stress" = {stress}', "[fit]", f"laws = {laws}"]) + "\n",
+        encoding="utf-8")
+    return folder / "study.toml"
+
+
+@pytest.mark.parametrize(("kind", "mode", "laws", "message"), [
+    ("lubricated_compression", "uniaxial", '["neo_hooke", "hyperfoam"]', "must have nominal stress with hyperfoam_1"),
+    ("confined_compression", "confined", '["hyperfoam"]', "equals the true one"),
+    ("confined_compression", "confined", '["neo_hooke"]\nbulk_ratio = 2.0', "equals the true one")])
+def test_true_stress_of_a_foam_is_refused(kind, mode, laws, message, tmp_path):
+    with pytest.raises(ts.InputError, match=message):
+        calibrate([write_true_stress_campaign(tmp_path, kind, mode, laws)], tmp_path / "out", figures=False)
+
+
+def test_stresses_that_do_not_depend_on_the_volume_are_fitted(tmp_path):
+    """Between lateral walls the true stress is the nominal one."""
+    path = write_true_stress_campaign(tmp_path, "confined_compression", "confined", '["hyperfoam"]', None)
+    stretch, law = np.linspace(1.0, 0.7, 30), ts.find_law("hyperfoam_1")
+    measured = np.loadtxt(tmp_path / "foam.csv", delimiter=",", skiprows=1)[:, 1]
+    np.testing.assert_allclose(measured, law.nominal_stress(stretch, [1e4, 4.0, 0.2], "confined"), rtol=1e-9)
+    result, = calibrate([path], tmp_path / "out", figures=False)
+    assert result.fits[0].RMSE_Pa < 1.0
+
+
+def test_import_refuses_true_stress_with_a_compressible_law(tmp_path):
+    write_true_stress_campaign(tmp_path, "lubricated_compression", "uniaxial", '["hyperfoam"]')
+    wishes = ImportOptions(InterpretationOverrides(kind="lubricated_compression"), laws=("hyperfoam_1",))
+    imported = import_files([tmp_path / "foam.csv"], tmp_path / "imported.toml", wishes)
+    assert imported.problem is not None and "must have nominal stress with hyperfoam_1" in imported.problem
 
 
 @pytest.mark.parametrize(("kind", "line", "message"), [
