@@ -9,7 +9,7 @@ from pathlib import Path
 
 from tissue_sim.errors import InputError
 from tissue_sim.material.file import MaterialFile, read_material_file, write_material_file
-from tissue_sim.material.material import BULK_RATIOS, Material
+from tissue_sim.material.material import Material
 from tissue_sim.parameters import Parameter, parameters, with_values
 from tissue_sim.units import get_display_unit_and_factor
 
@@ -150,10 +150,7 @@ def _is_simulatable_parameter_value(material: Material, name: str, value: float)
         changed = with_values(material, {name: value})
     except InputError:
         return False
-    if changed.mu0 < SETTINGS.smallest_modulus * material.mu0:
-        return False
-    low, high = BULK_RATIOS
-    return math.isinf(changed.bulk_modulus) or low <= changed.bulk_modulus / changed.mu0 <= high
+    return changed.mu0 >= SETTINGS.smallest_modulus * material.mu0 and changed.is_bulk_ratio_verified
 
 
 def _find_nearest_usable_value(material: Material, name: str, value: float, target: float) -> float:

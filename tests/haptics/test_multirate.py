@@ -153,6 +153,21 @@ def test_a_bulk_that_the_elements_do_not_take_is_refused_before_it_is_sent():
     assert tissue.step(Pose((0.0, 0.0, -1e-4)), DT).status is ForceStatus.CONVERGED
 
 
+def test_parameters_of_a_compressible_law_reach_the_bulk():
+    """The ratio K/mu0 is 4/3, and a factor on the modulus changes the force by the same factor."""
+    tissue = delayed(tool="flat", friction="bonded",
+                     material=ts.Material("hyperfoam_1", {"mu1": 1000.0, "alpha1": 4.0, "nu1": 0.2}))
+    pose = Pose((0.0, 0.0, -1e-3))
+    for _ in range(60):
+        soft = tissue.step(pose, DT)
+    tissue.set_parameters(mu1=2000.0)
+    for _ in range(200):
+        stiff = tissue.step(pose, DT)
+    assert stiff.force == pytest.approx(2.0 * soft.force, rel=1e-3)
+    with pytest.raises(ts.InputError, match="K/mu0 of at most 10 with hyperfoam_1"):
+        tissue.set_parameters(nu1=0.48)
+
+
 def test_what_is_no_number_is_refused_and_changes_nothing():
     tissue, pose = delayed(), Pose((0.0, 0.0, -5e-4))
     before = tissue.step(pose, DT)

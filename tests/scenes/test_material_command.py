@@ -178,6 +178,25 @@ def test_existing_file_is_kept(material, capsys):
     assert ts.load_material(material).law == "neo_hooke"
 
 
+@pytest.mark.parametrize("nu", ["-0.5", "0", "0.2", "0.49"])
+def test_foam(nu, tmp_path, capsys):
+    path = tmp_path / "foam.material.json"
+    words = ["material", "new", "--law", "hyperfoam_1", "--set", "mu1=1000", "--set", "alpha1=4", "--set", f"nu1={nu}",
+             "-o", str(path)]
+    assert main([*words, "--incompressible"]) == 2 and not path.exists()
+    assert "--incompressible: must not be given for hyperfoam_1" in capsys.readouterr().err
+    assert main(words) == 0
+    assert ts.load_material(path).bulk == ts.Bulk("of_law")
+
+
+def test_help_names_every_law(capsys):
+    assert main(["material", "new", "--help"]) == 0
+    named = " ".join(capsys.readouterr().out.split())
+    for name in ts.LAWS:
+        stem, _, number = name.rpartition("_")
+        assert name in named or (number.isdigit() and f"{stem}_1 to _" in named), name
+
+
 @pytest.mark.parametrize(("words", "expected"), [
     (["--law", "neo_hook", "--set", "C10=1"], "did you mean 'neo_hooke'?"),
     (["--law", "neo_hooke", "--set", "C01=1"], "did you mean 'C10'?"),

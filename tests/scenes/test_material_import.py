@@ -62,6 +62,15 @@ def test_an_unusual_bulk_modulus_is_warned_about(run):
     assert "K / mu0 = 6.667e+10 is outside 2 to 1e+06" in err
 
 
+def test_the_bulk_modulus_of_a_foam_is_usual(run):
+    """K / mu0 = 2 (1/3 + beta), beta = nu / (1 - 2 nu): 4/3, within the range of a compressible law."""
+    text = "*MATERIAL, NAME=Foam\n*HYPERFOAM, N=1\n0.001, 4, {}\n"
+    code, _, err = run(text.format(0.2))
+    assert code == 0 and "K / mu0" not in err
+    _, _, err = run(text.format(0.48), "--overwrite")
+    assert "K / mu0 = 24.67 is outside 0 to 10" in err
+
+
 def test_the_material_of_a_model_is_chosen_by_name(run):
     assert run(STEEL + GEL, "--material", "gel")[0] == 0
     assert ts.load_material("m.material.json").name == "Gel"

@@ -55,6 +55,9 @@ class Layer:
 
 #: Range of K / mu0 for which the finite elements are verified, 1; 2.17 is a Poisson's ratio of 0.3.
 BULK_RATIOS = (2.0, 1e6)
+#: Largest K / mu0 of a compressible law in the finite elements, 1: a Poisson's ratio of 0.45. Displacement elements
+#: become too stiff above it.
+LARGEST_BULK_RATIO_OF_COMPRESSIBLE_LAW = 10.0
 #: Kind of bulk response -> declaration of its number.
 _BULK = {
     "K_Pa": Declaration("K", "Pa", (1.0, 1e12), key="K_Pa"),
@@ -114,6 +117,11 @@ class Bulk:
     def with_non_field_parameters(self, values: Mapping[str, float]) -> Bulk:
         """Return a response of the same kind with another number, `values[kind]`."""
         return Bulk(self.kind, values[self.kind])
+
+    @property
+    def verified_ratios(self) -> tuple[float, float]:
+        """Range of a finite K / mu0 for which the finite elements are verified, 1."""
+        return (0.0, LARGEST_BULK_RATIO_OF_COMPRESSIBLE_LAW) if self.kind == "of_law" else BULK_RATIOS
 
     def modulus(self, mu0: float) -> float:
         """Return the bulk modulus K, Pa, for an initial shear modulus mu0, Pa; infinite without a number."""
@@ -295,6 +303,23 @@ class Material:
     def bulk_modulus(self) -> float:
         """Bulk modulus K, Pa; infinite for an incompressible material."""
         return self.energy_law.K0(self.parameters) if self.bulk.kind == "of_law" else self.bulk.modulus(self.mu0)
+
+    @property
+    def is_bulk_ratio_verified(self) -> bool:
+        """Whether the finite elements are verified for K / mu0; they replace an infinite one by a finite one."""
+        low, high = self.bulk.verified_ratios
+        return self.bulk.kind == "incompressible" or low <= self.bulk_modulus / self.mu0 <= high
+
+    def require_verified_bulk_ratio(self) -> None:
+        """Raise an `InputError` if the finite elements are not verified for K / mu0."""
+        if self.is_bulk_ratio_verified:
+            return
+        (low, high), ratio = self.bulk.verified_ratios, self.bulk_modulus / self.mu0
+        if self.bulk.kind == "of_law":
+            raise InputError(f"must give K/mu0 of at most {high:g} with {self.law} in displacement elements; "
+                             f"got {ratio:.4g}. Use a law with a bulk response", field="parameters")
+        raise InputError(f"K/mu0 must be {low:g} to {high:g}, for which the finite elements are verified; got "
+                         f"{ratio:.4g}. State another bulk response", field="bulk")
 
     def compute_memory_time(self, contact_radius: float | None) -> float:
         """Return the time after which unloaded tissue has relaxed, s: `MEMORY_TIMES` relaxation times.

@@ -17,7 +17,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
 from tissue_sim.fem.taichi.launch import CopyError, make_single_thread_method
-from tissue_sim.material.material import BULK_RATIOS, Material
+from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.pose import (
     Pose,
@@ -458,11 +458,7 @@ class MultiRateTissue(RealTimeTissue):
         Raises:
             InputError: the ratio of bulk and shear modulus is not in the validated range, or the bulk has ended.
         """
-        (low, high), ratio = BULK_RATIOS, material.bulk_modulus / material.mu0
-        # An infinite ratio, an incompressible material, gets a finite one that depends on the specimen.
-        if not (low <= ratio <= high or math.isinf(ratio)):
-            raise InputError(f"K/mu0 must be {low:g} to {high:g}, the validated range of the finite elements; got "
-                             f"{ratio:g}", field="bulk")
+        material.require_verified_bulk_ratio()
         self.warm_up()
         try:
             self._link.set_material(material, self._material + 1)

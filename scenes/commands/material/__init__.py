@@ -29,7 +29,8 @@ def _add_new_material_flags(new: InputErrorArgumentParser) -> None:
     """Add the flags of ``material new``."""
     new.add_argument("--law", required=True,
                      help="material law: neo_hooke, mooney_rivlin, reduced_polynomial_1 to _3 (3: yeoh), biderman, "
-                     "gent, arruda_boyce, fung_demiray, ogden_1 to _4, or a law of an installed package")
+                     "gent, arruda_boyce, fung_demiray, ogden_1 to _4, hyperfoam_1 to _3, or a law of an installed "
+                     "package")
     new.add_argument("--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
                      help="value of a parameter of the law, in Pa (exponents without unit); once for each parameter")
     bulk = new.add_mutually_exclusive_group()
@@ -37,7 +38,8 @@ def _add_new_material_flags(new: InputErrorArgumentParser) -> None:
                       help="bulk modulus K over shear modulus mu0, 2 to 1e6")
     bulk.add_argument("--bulk-modulus-pa", type=parse_positive_number, metavar="N",
                       help="bulk modulus K in Pa, 2 to 1e6 times mu0")
-    bulk.add_argument("--incompressible", action="store_true", help="incompressible material (default)")
+    bulk.add_argument("--incompressible", action="store_true", help="incompressible material (default, except of "
+                      "the hyperfoam laws, which state the bulk modulus)")
     new.add_argument("--prony", action="append", default=[], metavar="G,TAU_S",
                      help="term of a Prony series: fraction of the instantaneous modulus that relaxes, and relaxation "
                      "time in s; once for each of 1 to 13 terms")
@@ -78,6 +80,9 @@ def _write_new_material(arguments: Namespace) -> CommandResult:
                            name=arguments.name,
                            viscoelastic=parse_prony_series_or_none(arguments.prony, arguments.moduli),
                            regions=load_region_materials(arguments.region))
+    if arguments.incompressible and material.bulk.kind == "of_law":
+        raise InputError(f"must not be given for {material.law}, whose parameters state the volumetric response. Leave "
+                         "it out", field="--incompressible")
     require_verified_bulk_ratio(material, "--bulk-ratio" if arguments.bulk_ratio is not None else "--bulk-modulus-pa")
     ts.write_material_file(ts.MaterialFile.of(material), arguments.output)
 
@@ -93,23 +98,23 @@ def _write_new_material(arguments: Namespace) -> CommandResult:
 
 
 def require_verified_bulk_ratio(material, option: str) -> None:
-    """Raise an error if the ratio K / mu0 of a material is outside the verified range of the finite elements.
+    """Raise an error if a stated ratio K / mu0 of a material is outside the verified range of the finite elements.
+
+    The bulk modulus of a compressible law follows from its parameters; the solvers and not the file restrict it.
 
     Args:
         material: new material.
         option: command line option that states the bulk modulus, for the error message.
 
     Raises:
-        InputError: K / mu0 is outside `BULK_RATIOS`.
+        InputError: K / mu0 is outside `tissue_sim.Bulk.verified_ratios`.
     """
-    from tissue_sim.material.material import BULK_RATIOS
-
-    ratio = material.bulk_modulus / material.mu0
-    low, high = BULK_RATIOS
-    if material.bulk.kind != "incompressible" and not low <= ratio <= high:
+    if material.bulk.value is not None and not material.is_bulk_ratio_verified:
+        low, high = material.bulk.verified_ratios
         pressures = "" if option == "--bulk-ratio" else f" ({low * material.mu0:.4g} to {high * material.mu0:.4g} Pa)"
         raise InputError(f"K / mu0 must be {low:g} to {high:g}{pressures}, the verified range of the finite elements; "
-                         f"got {ratio:.4g}. Change the value, or use --incompressible", field=option)
+                         f"got {material.bulk_modulus / material.mu0:.4g}. Change the value, or use --incompressible",
+                         field=option)
 
 
 def parse_parameter_settings(settings: list[str]) -> dict[str, float]:

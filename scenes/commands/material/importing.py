@@ -121,16 +121,14 @@ def _choose_name(names: Collection[str], wanted: str | None) -> str:
 
 def _list_warnings(material: Material) -> list[str]:
     """Return warnings about a material with an unusual Young's modulus or bulk modulus."""
-    from tissue_sim.material.material import BULK_RATIOS
-
     warnings = []
     if not SOFT.min_young <= material.E0 <= SOFT.max_young:
         warnings.append(f"E0 = {material.E0 / 1e3:.4g} kPa is outside {SOFT.min_young / 1e3:g} to "
                         f"{SOFT.max_young / 1e3:g} kPa, the range of soft materials. Check --units")
-    ratio = material.bulk_modulus / material.mu0
-    if material.bulk.kind != "incompressible" and not BULK_RATIOS[0] <= ratio <= BULK_RATIOS[1]:
-        warnings.append(f"K / mu0 = {ratio:.4g} is outside {BULK_RATIOS[0]:g} to {BULK_RATIOS[1]:g}, the verified "
-                        "range of the finite elements")
+    if not material.is_bulk_ratio_verified:
+        low, high = material.bulk.verified_ratios
+        warnings.append(f"K / mu0 = {material.bulk_modulus / material.mu0:.4g} is outside {low:g} to {high:g}, the "
+                        "verified range of the finite elements")
     return warnings
 
 

@@ -28,6 +28,7 @@ MATERIALS = {
     "incompressible": ts.Material("neo_hooke", {"C10": 80.0}),
     "stiff": ts.Material("neo_hooke", {"C10": 3e6}, ts.Bulk("D1_per_Pa", 1e-9)),
     "zero": ts.Material("mooney_rivlin", {"C10": 1000.0, "C01": 0.0}),
+    "foam": ts.Material("hyperfoam_1", {"mu1": 1000.0, "alpha1": 4.0, "nu1": 0.2}),
     "negative": ts.Material("mooney_rivlin", {"C10": 1000.0, "C01": -200.0}),
 }
 
@@ -93,6 +94,7 @@ def test_the_material_accepts_the_ends_of_each_slider(name):
         for end in (slider.low, slider.high):
             changed = with_values(material, {parameter: end / slider.factor})
             assert parameter_values(changed)[parameter] == pytest.approx(end / slider.factor)
+            assert changed.is_bulk_ratio_verified
             if parameter.startswith("bulk."):
                 assert 2 <= changed.bulk_modulus / changed.mu0 <= 1e6
 
@@ -123,6 +125,13 @@ def test_slider_ranges_follow_the_settings():
     negative = compute_parameter_slider_ranges(MATERIALS["negative"])["C01"]
     assert (negative.low, negative.high) == pytest.approx((-0.992, 0.0), abs=negative.step)
     assert compute_parameter_slider_ranges(EVERYTHING)["layers[0].thickness"].unit == "mm"
+
+
+def test_sliders_of_a_compressible_law_have_a_range():
+    """The foam has K / mu0 = 4/3; nu1 = 0.45 gives 9.67 and 0.4523 gives 10, the largest ratio of such a law."""
+    ranges = compute_parameter_slider_ranges(MATERIALS["foam"])
+    assert (ranges["mu1"].low, ranges["mu1"].high) == pytest.approx((0.2, 5.0), abs=ranges["mu1"].step)
+    assert 0.45 - ranges["nu1"].step <= ranges["nu1"].high <= 0.4523
 
 
 @settings(max_examples=60, deadline=None)
