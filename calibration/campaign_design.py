@@ -33,7 +33,7 @@ class CampaignDesign(Job):
 
     The campaign has one law and is loaded with ``planned=True``, see
     `calibration.diagnosis.evidence.make_one_law_whole_recording_campaign`; its recordings are those of
-    `calibration.campaign.measured.read_or_plan_curves_of_all_tests`.
+    `calibration.campaign.planned.read_or_plan_curves_of_all_tests`.
 
     Args:
         campaign: the campaign.

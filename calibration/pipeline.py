@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.measured import PLANNED, read_measured_curves, read_or_plan_curves_of_all_tests
+from calibration.campaign.measured import read_measured_curves
+from calibration.campaign.planned import PLANNED, read_or_plan_curves_of_all_tests
 from calibration.output_folder import PICTURE_FORMATS
 from calibration.tasks.executors import Workers, open_task_executor
 from tissue_sim.errors import InputError

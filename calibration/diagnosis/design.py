@@ -13,12 +13,8 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.measured import (
-    MeasuredCurve,
-    create_planned_curves_with_placeholder_force,
-    make_campaign_with_scaled_offset_defaults,
-    replace_forces_of_curves,
-)
+from calibration.campaign.measured import MeasuredCurve, make_campaign_with_scaled_offset_defaults
+from calibration.campaign.planned import create_planned_curves_with_placeholder_force, replace_forces_of_curves
 from calibration.diagnosis.diagnosis import CandidateResult, NextExperiment
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.proposals import CatalogueScores, score_effects

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from calibration import calibrate, diagnose, evaluate_planned_experiments, load_campaign
-from calibration.campaign.measured import read_or_plan_curves_of_all_tests
+from calibration.campaign.planned import read_or_plan_curves_of_all_tests
 from calibration.diagnosis.evidence import make_one_law_whole_recording_campaign
 from calibration.effects.rig import MachineCompliance
 from calibration.effects.tissue import Viscoelasticity

@@ -11,7 +11,7 @@ from virtual_campaign import PLATES, diagnosed_plates
 
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.measured import read_or_plan_curves_of_all_tests
+from calibration.campaign.planned import read_or_plan_curves_of_all_tests
 from calibration.campaign_diagnosis import write_effect_files_and_get_diagnosis
 from calibration.diagnosis.design import (
     evaluate_experiment_design,
