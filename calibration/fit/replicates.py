@@ -1,6 +1,7 @@
 """Recordings of one test, and tests of one kind, that disagree: two materials, a wrong unit or a wrong sign.
 
-Tests of one kind are compared by their secant moduli.
+Tests of one kind are compared by their secant moduli. Recordings of several motions, such as the stretches of both axes
+of a sheet, are compared only if their motions are equal.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ class ReplicateSettings:
             offset of the contact matters least.
         unit: a ratio within this many decades of 1000 is named as a factor of units.
         points: number of points at which recordings are compared.
+        motion: largest difference of several motions that count as equal, as a fraction of the largest displacement at
+            which the recordings are compared.
     """
 
     ratio: float = 1.5
@@ -33,6 +36,7 @@ class ReplicateSettings:
     compared: float = 0.5
     unit: float = 0.1
     points: int = 32
+    motion: float = 0.05
 
 
 SETTINGS = ReplicateSettings()
@@ -87,7 +91,7 @@ def _find_disagreement_in_test(test: str, curves: Sequence[MeasuredCurve]) -> Re
     if len(curves) < 2 or curves[0].test.modulus:
         return None
     sizes = compute_mean_forces_or_none([(curve.displacement, curve.force) for curve in curves])
-    if sizes is None:
+    if sizes is None or not _have_equal_motions(curves):
         return None
     return find_stiffness_group_disagreement_or_none(test, [curve.name for curve in curves], sizes)
 
@@ -135,12 +139,26 @@ def compute_mean_forces_or_none(curves: Sequence[tuple[np.ndarray, np.ndarray]])
     found = find_common_upper_range_or_none([displacement for displacement, _ in curves])
     if found is None:
         return None
-    grid, means = np.linspace(*found, SETTINGS.points), []
-    for displacement, force in curves:
-        end = int(np.argmax(displacement)) + 1
-        order = np.argsort(displacement[:end], kind="stable")
-        means.append(float(np.mean(np.interp(grid, displacement[:end][order], force[:end][order]))))
-    return np.array(means)
+    grid = np.linspace(*found, SETTINGS.points)
+    return np.array([np.mean(_interpolate_loading(grid, displacement, force)) for displacement, force in curves])
+
+
+def _interpolate_loading(grid: np.ndarray, displacement: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Return values at the displacements `grid`, from the samples up to the largest displacement, shape of `grid`."""
+    end = int(np.argmax(displacement)) + 1
+    order = np.argsort(displacement[:end], kind="stable")
+    return np.interp(grid, displacement[:end][order], values[:end][order])
+
+
+def _have_equal_motions(curves: Sequence[MeasuredCurve]) -> bool:
+    """Return whether all motions agree at equal displacements, true for recordings of one motion."""
+    found = find_common_upper_range_or_none([curve.displacement for curve in curves])
+    if found is None:
+        return False
+    grid = np.linspace(*found, SETTINGS.points)
+    paths = np.array([[_interpolate_loading(grid, curve.displacement, motion) for motion in curve.motions.T]
+                      for curve in curves if curve.motions is not None])
+    return not paths.size or bool(np.ptp(paths, axis=0).max() <= SETTINGS.motion * found[1])
 
 
 def find_common_upper_range_or_none(displacements: Sequence[np.ndarray]) -> tuple[float, float] | None:
@@ -205,10 +223,10 @@ def find_same_kind_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]
 
 
 def _make_kind_tool_and_size_key(test: Test) -> tuple:
-    """Return a key that tests with comparable stiffnesses share: the kind, and without a closed form tool and size."""
+    """Return a key that tests with comparable stiffnesses share: kind and load, without a closed form tool and size."""
     specimen = test.specimen
     if _is_homogeneous(test):
-        return test.kind.name, True
+        return test.kind.name, True, test.kind.channels
     tool = None if test.experiment is None else (test.experiment.tool, test.experiment.friction,
                                                  test.experiment.friction_base)
     return test.kind.name, False, str(tool), specimen and tuple(sorted(specimen.sizes.items()))
@@ -222,6 +240,8 @@ def _is_homogeneous(test: Test) -> bool:
 def _find_disagreement_of_kind(tests: Mapping[str, Sequence[MeasuredCurve]]) -> SameKindDisagreement | None:
     """Return the disagreement of the tests of one kind; None if there is none."""
     first = next(iter(tests.values()))[0].test
+    if not _have_equal_motions([curve for curves in tests.values() for curve in curves]):
+        return None
     scaled = {name: [_get_strain_stress_or_displacement_force(curve) for curve in curves] for name,
               curves in tests.items()}
     every = [pair for pairs in scaled.values() for pair in pairs]

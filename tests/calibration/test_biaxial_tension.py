@@ -107,6 +107,30 @@ def test_uniaxial_test_of_a_biaxial_machine(tmp_path):
         calibrate(tmp_path, make_test() + FIT)
 
 
+@pytest.mark.parametrize("second", [np.ones(TIME.size), STRETCH[:, 0]**-0.5, 2.0 - STRETCH[:, 0] / 2.0 - 0.5])
+def test_axes_with_different_stresses_do_not_disagree(tmp_path, second):
+    """Planar tension, uniaxial tension and a second axis that is compressed, each with exact data."""
+    stretch = np.stack([STRETCH[:, 0], second], axis=-1)
+    write(tmp_path, "a", LAW.nominal_stress(stretch, TRUTH, "biaxial"), stretch, time=TIME)
+    best = calibrate(tmp_path, make_test() + FIT).best
+    assert best.parameters == pytest.approx(TRUTH, rel=1e-8)
+    assert best.status == "converged", best.message
+
+
+@pytest.mark.parametrize(("stretch", "factor", "status"), [
+    (np.stack([1.0 - 0.01 * TIME, STRETCH[:, 0]], axis=-1), 1.0, "converged"), (STRETCH, 2.0, "misfit")])
+@pytest.mark.parametrize("tests", [("*.csv",), ("a.csv", "b.csv")])
+def test_only_recordings_with_equal_motions_are_compared(tmp_path, tests, stretch, factor, status):
+    """The stress of another path of stretches differs. On the same path twice the stress is a contradiction."""
+    write(tmp_path, "a", LAW.nominal_stress(STRETCH, TRUTH, "biaxial"), time=TIME)
+    write(tmp_path, "b", factor * LAW.nominal_stress(stretch, TRUTH, "biaxial"), stretch, time=TIME)
+    text = "".join(make_test(each, more=f'name = "test {number}"') for number, each in enumerate(tests))
+    best = calibrate(tmp_path, text + FIT).best
+    assert best.status == status
+    said, = (clause.reason for clause in best.clauses if clause.name == "replicates")
+    assert ("axis 1 disagree" in said or "tests of biaxial_tension disagree: test 0 axis 1" in said) == (factor != 1.0)
+
+
 def test_invalid_biaxial_recordings_are_refused(tmp_path):
     stress = LAW.nominal_stress(STRETCH, TRUTH, "biaxial")
     write(tmp_path, "a", stress * [1.0, -1.0], time=TIME)

@@ -82,6 +82,7 @@ def test_torsion_with_axial_force_determines_both_parameters(tmp_path):
                     force=-force + noise.normal(0.0, 1e-3, angle.size))
     path = write_campaign(tmp_path, ("torsion_axial_force",), 'laws = ["mooney_rivlin"]')
     best = calibration.calibrate([path], tmp_path / "out", figures=False)[0].best
+    assert best.status == "converged", best.message
     assert best.parameters == pytest.approx(TRUTH, rel=5e-3)
     for name, value in TRUTH.items():
         assert abs(best.parameters[name] - value) < 4 * best.standard_errors[name]
