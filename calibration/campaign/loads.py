@@ -13,6 +13,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from tissue_sim.errors import InputError
+from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.laws import find_law
 from tissue_sim.recording.measures import MEASURES, get_original_measures
 from tissue_sim.recording.recording import Recording
@@ -20,6 +21,8 @@ from tissue_sim.specimen.specimen import add_indefinite_article
 
 #: Correlation with the load of a neo-Hookean material below which one of several loads has the wrong sign.
 _WRONG_SIGN_CORRELATION = -0.5
+#: Strain below which the neo-Hookean loads, which vanish at zero, are those of this strain.
+_UNDEFORMED = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,17 +151,40 @@ def _combine_motions(test: Test, strains: list[np.ndarray], loads: list[np.ndarr
     return MotionAndLoads(np.sqrt(np.maximum(first_invariant - 3.0, 0.0) / 3.0), loads, motions=motions)
 
 
-def combine_loads(displacement: np.ndarray, loads: list[np.ndarray]) -> np.ndarray:
+def compute_neo_hookean_stress(kind: TestKind, displacement: np.ndarray, motions: np.ndarray | None) -> np.ndarray:
+    """Return the nominal stress of a neo-Hookean material with the shear modulus 1 Pa, positive under load, shape (n,).
+
+    Args:
+        kind: kind with a closed form, that of the load.
+        displacement: nominal strain, positive under load, shape (n,).
+        motions: stretch of each axis, that of the load first, shape (n, k); None: the strain is the motion.
+    """
+    abscissa = kind.convert_nominal_strain_to_stretch_or_shear_strain(displacement) if motions is None else motions
+    return kind.sign * kind.require_closed_form().stress(find_law("neo_hooke"), abscissa, {"C10": 0.5})
+
+
+def combine_loads(read: MotionAndLoads, kind: TestKind) -> np.ndarray:
     """Return the load from which the segments of a recording are found, shape (n,).
 
-    It is the load itself, or the root mean square of several loads, each divided by its largest absolute value, times
-    the largest of these values.
+    It is the load itself, or the equivalent stress of several loads: the strain times the shear modulus of the
+    neo-Hookean material whose loads are closest to those of the sample (least squares), in units of the largest ratio
+    of load to strain of that material. While the material is intact, the equivalent stress increases with the strain,
+    also if one axis of a sheet is unloaded. Loads of a kind with several loads are stresses.
+
+    Args:
+        read: motion and loads of the recording.
+        kind: kind of the test to which the first load belongs.
     """
-    if len(loads) == 1:
-        return loads[0]
-    sizes = [float(np.abs(load).max()) for load in loads]
-    scaled = [load / (size or 1.0) for load, size in zip(loads, sizes, strict=True)]
-    return max(sizes) * np.where(displacement < 0, -1.0, 1.0) * np.sqrt(np.mean(np.square(scaled), axis=0))
+    if len(read.loads) == 1:
+        return read.loads[0]
+    near = np.abs(read.displacement) < _UNDEFORMED
+    strain = np.where(near, _UNDEFORMED, read.displacement)
+    motions = None if read.motions is None else np.where(near[:, None], 1.0 + _UNDEFORMED / 2.0, read.motions)
+    model = np.array([compute_neo_hookean_stress(kind.select_load(number), strain, None if motions is None else
+                                                 np.roll(motions, -number, axis=-1))
+                      for number in range(len(read.loads))])
+    modulus = np.sum(np.array(read.loads) * model, axis=0) / np.sum(model**2, axis=0)
+    return float(np.abs(model / strain).max()) * modulus * strain
 
 
 def is_load_against_motion(displacement: np.ndarray, force: np.ndarray, motions: np.ndarray | None,
@@ -170,6 +196,5 @@ def is_load_against_motion(displacement: np.ndarray, force: np.ndarray, motions:
     """
     if test.kind.load_count == 1:
         return bool(np.sum(force * displacement) <= 0)
-    abscissa = test.kind.convert_nominal_strain_to_stretch_or_shear_strain(displacement) if motions is None else motions
-    model = test.kind.sign * test.kind.require_closed_form().stress(find_law("neo_hooke"), abscissa, {"C10": 1.0})
+    model = compute_neo_hookean_stress(test.kind, displacement, motions)
     return bool(np.sum(force * model) < _WRONG_SIGN_CORRELATION * np.linalg.norm(force) * np.linalg.norm(model))

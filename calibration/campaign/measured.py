@@ -348,7 +348,7 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
     require_matching_specimen_metadata(recording, test, campaign, path)
     read = read_motion_and_loads(recording, test, path, campaign.fit.laws)
     loads, stressed, motions = read.loads, read.stressed, read.motions
-    displacement, force = read.displacement, combine_loads(read.displacement, loads)
+    displacement, force = read.displacement, combine_loads(read, test.kind)
     require_closed_form_support_if_used(test, material, stressed, closed, path)
     time = np.array(recording.time) if "time" in recording else None
     if time is None and test.rig.needs_time:

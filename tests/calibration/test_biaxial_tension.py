@@ -131,6 +131,25 @@ def test_only_recordings_with_equal_motions_are_compared(tmp_path, tests, stretc
     assert ("axis 1 disagree" in said or "tests of biaxial_tension disagree: test 0 axis 1" in said) == (factor != 1.0)
 
 
+def read_notes(folder, text):
+    (folder / "study.toml").write_text(text, encoding="utf-8")
+    measured = read_measured_curves(calibration.load_campaign(folder / "study.toml"))
+    return [curve.notes.get("failure", "") for curves in measured.values() for curve in curves]
+
+
+@pytest.mark.parametrize(("first", "second"), [(1.06, 1.04), (1.05, 1.06), (0.97, 1.08)])
+def test_unloading_of_one_axis_is_no_failure(tmp_path, first, second):
+    """Axis 1 is unloaded from the middle of the test on. A drop of the loads under loading is a failure."""
+    stretch = np.stack([1.0 + (first - 1.0) * np.minimum(TIME, 10.0 - TIME), 1.0 + (second - 1.0) * TIME], axis=-1)
+    stress = LAW.nominal_stress(stretch, TRUTH, "biaxial")
+    write(tmp_path, "a", stress, stretch, time=TIME)
+    assert read_notes(tmp_path, make_test() + FIT) == ["", ""]
+    stress[15:] *= 0.6
+    write(tmp_path, "a", stress, stretch, time=TIME)
+    assert all("the force drops" in note and "(sample 15 of 41)" in note
+               for note in read_notes(tmp_path, make_test() + FIT))
+
+
 def test_invalid_biaxial_recordings_are_refused(tmp_path):
     stress = LAW.nominal_stress(STRETCH, TRUTH, "biaxial")
     write(tmp_path, "a", stress * [1.0, -1.0], time=TIME)
