@@ -18,6 +18,7 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, FitSettings, Test
+from calibration.campaign.loads import compute_neo_hookean_stress
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameters import (
     NOT_MATERIAL,
@@ -131,7 +132,9 @@ class DiagnosisData:
         The estimate is the median over the tests of the modulus that linear elasticity assigns to the largest force F
         at the largest displacement d: mu = F h / (c A d) on a specimen of height h and area A, where c mu is the
         initial slope of the closed form of the test (c = 3 for plates) plus the bulk modulus between lateral walls, and
-        mu = F / (8 a d) for an indenter with contact radius a on an incompressible material.
+        mu = F / (8 a d) for an indenter with contact radius a on an incompressible material. One of several loads is
+        compared with the largest load of a neo-Hookean material in the same motion, since its initial slope depends on
+        the other motions, or is zero (axial force in torsion).
         """
         found = []
         for test in self.tests:
@@ -140,6 +143,9 @@ class DiagnosisData:
                 # The curves are logarithms of moduli: G in shear, E = 3 G otherwise.
                 factor = 3.0 if test.kind.require_closed_form().rest else 1.0
                 found.append(float(np.exp(force)) / factor)
+            elif test.kind.load_count > 1:
+                found.append(force / max(float(np.abs(compute_neo_hookean_stress(
+                    test.kind, curve.displacement, curve.motions)).max()) for curve in self.measured[test.name]))
             elif test.experiment is None or self.measured[test.name][0].stressed:
                 height, area = test.reference_height, test.reference_area
                 found.append(self._convert_initial_slope_to_shear_modulus(test, force * height / (area * depth)))

@@ -7,6 +7,7 @@ import calibration
 import tissue_sim as ts
 from calibration import ImportOptions, InterpretationOverrides
 from calibration.campaign.measured import read_measured_curves
+from calibration.effects.effect import DiagnosisData
 
 LAW = ts.find_law("mooney_rivlin")
 TRUTH = {"C10": 5000.0, "C01": 2000.0}
@@ -148,6 +149,21 @@ def test_unloading_of_one_axis_is_no_failure(tmp_path, first, second):
     write(tmp_path, "a", stress, stretch, time=TIME)
     assert all("the force drops" in note and "(sample 15 of 41)" in note
                for note in read_notes(tmp_path, make_test() + FIT))
+
+
+def test_diagnosis_of_both_axes(tmp_path):
+    """The trial size of an effect follows from the shear modulus. Exact data with noise show no effect."""
+    noise = np.random.default_rng(1).normal(0.0, 20.0, STRETCH.shape)
+    stress = ts.find_law("neo_hooke").nominal_stress(STRETCH, {"C10": 5000.0}, "biaxial")
+    write(tmp_path, "a", stress + noise, time=TIME)
+    path = tmp_path / "study.toml"
+    path.write_text(make_test() + '[fit]\nlaws = ["neo_hooke"]\nmethod = "inverse_fem"\n', encoding="utf-8")
+    campaign = calibration.load_campaign(path)
+    assert DiagnosisData(campaign, read_measured_curves(campaign), "neo_hooke").estimated_shear_modulus == \
+        pytest.approx(1e4, rel=0.01)
+    result, = calibration.diagnose([path], tmp_path / "out", figures=False)
+    assert not result.diagnosis.effects, result.diagnosis.message
+    assert result.diagnosis.fit_before.parameters["C10"] == pytest.approx(5000.0, rel=0.01)
 
 
 def test_invalid_biaxial_recordings_are_refused(tmp_path):

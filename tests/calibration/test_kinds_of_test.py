@@ -174,22 +174,25 @@ def test_confined_compression_without_history(tmp_path, reading):
 @pytest.mark.parametrize(("kind", "fit"), [
     ("confined_compression", "bulk_ratio = 8.0"),
     ("confined_compression", 'method = "inverse_fem"\nstart = { C10 = 5000.0, "bulk.K_Pa" = 8e4 }'),
-    ("simple_shear", ""), ("planar_tension", ""), ("equibiaxial_tension", ""), ("torsion", "")])
+    ("simple_shear", ""), ("planar_tension", ""), ("equibiaxial_tension", ""), ("torsion", ""),
+    ("torsion_axial_force", "")])
 def test_the_estimated_modulus_of_a_diagnosis_is_that_of_the_kind(tmp_path, kind, fit):
     """Trial values of effects follow from the modulus 10 kPa, which linear elasticity gives for each kind."""
     material = ts.Material("neo_hooke", {"C10": 5000.0}, ts.Bulk("bulk_ratio", 8.0))
     strain = np.linspace(0.0, 1e-3, 41)
     area = np.pi * RADIUS**2
     slopes = {"simple_shear": 1e4, "planar_tension": 4e4, "equibiaxial_tension": 6e4}
-    if kind == "torsion":
-        torque, _ = compute_torque_and_axial_force(ts.find_law("neo_hooke"), {"C10": 5000.0}, strain / RADIUS, RADIUS)
-        write_recording(tmp_path, kind, angle=strain / RADIUS * HEIGHT, torque=torque)
+    if kind.startswith("torsion"):
+        torque, axial = compute_torque_and_axial_force(ts.find_law("neo_hooke"), {"C10": 5000.0}, strain / RADIUS,
+                                                       RADIUS)
+        loads = {"torque": torque} if kind == "torsion" else {"torque": torque, "force": -axial}
+        write_recording(tmp_path, kind, angle=strain / RADIUS * HEIGHT, **loads)
     else:
         force = make_confined_force(material, 1.0 - strain) if kind == "confined_compression" \
             else slopes[kind] * strain * area
         write_recording(tmp_path, kind, displacement=strain * HEIGHT, force=force)
     path = write_campaign(tmp_path, (kind,), f'laws = ["neo_hooke"]\n{fit}\n\n[noise]\nforce_N = 1e-6'
-                          if kind != "torsion" else 'laws = ["neo_hooke"]')
+                          if not kind.startswith("torsion") else 'laws = ["neo_hooke"]')
     campaign = load_campaign(path)
     data = DiagnosisData(campaign, read_measured_curves(campaign), "neo_hooke")
     assert data.estimated_shear_modulus == pytest.approx(1e4, rel=5e-3)
