@@ -398,7 +398,8 @@ def _make_lines_of_signals(parts: Sequence[ReplicateFile], *, is_control_stated:
         lines.append(CampaignLine("failure", "cut", f"{failed[0]}: {said}; fitted up to there"))
     driven = [control for _, motion in motions if (control := motion.screening.control) is not None
               and control.quantity == "force" and not control.equal_samples and motion.rate is not None]
-    if not is_control_stated and len(driven) == len(motions):
+    # A table of moduli has no motion.
+    if driven and not is_control_stated and len(driven) == len(motions):
         reason = "held while the displacement creeps" if driven[0].pattern == "creep" else "a line in time"
         lines.append(CampaignLine("control", "force", f"{motions[0][0]}: the force is {reason}"))
     return lines

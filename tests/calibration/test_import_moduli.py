@@ -9,6 +9,7 @@ import calibration
 import tissue_sim as ts
 from calibration import ImportOptions, InterpretationOverrides
 from scenes.cli import main
+from tissue_sim.errors import InputError
 
 GEL = ts.Material("neo_hooke", {"C10": 1000.0}, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 0.02),
                                                                       ts.PronyTerm(0.25, 0.5))))
@@ -103,6 +104,96 @@ def test_columns_and_units_that_the_user_states(tmp_path, capsys):
     curve, = calibration.read_measured_curves(calibration.load_campaign(tmp_path / "c.toml"))["a loss modulus"]
     np.testing.assert_allclose(curve.displacement, FREQUENCY, rtol=1e-7)
     np.testing.assert_allclose(np.exp(curve.force), G.imag, rtol=1e-7)
+
+
+def test_the_unit_of_an_angular_frequency_can_be_stated_alone(tmp_path, capsys):
+    path = write(tmp_path, "Frequency,G' (Pa),G'' (Pa)", OMEGA, G.real, G.imag)
+    assert main(["import", str(path), "-o", str(tmp_path / "c.toml"), "--unit", "frequency=rad/s"]) == 0, \
+        capsys.readouterr()
+    curve, = calibration.read_measured_curves(calibration.load_campaign(tmp_path / "c.toml"))["a loss modulus"]
+    np.testing.assert_allclose(curve.displacement, FREQUENCY, rtol=1e-7)
+
+
+#: Moduli of the sweeps relative to the first sweep.
+FACTORS = np.repeat([1.0, 0.5, 0.2], FREQUENCY.size)
+
+
+@pytest.mark.parametrize(("header", "values"), [
+    ("Temperature (C)", (20.0, 30.0, 40.0)), ("T [K]", (293.15, 295.15, 297.15)), ("Strain (%)", (0.1, 0.2, 0.5)),
+    ("Specimen", (1, 2, 3)), ("Pre-strain", (0.0, 0.1, 0.2))])
+@pytest.mark.parametrize("order", ["one after another", "mixed"])
+def test_several_sweeps_in_one_table_are_refused(tmp_path, header, values, order):
+    scatter = 1e-3 * np.random.default_rng(1).standard_normal(FACTORS.size) * (header != "Specimen")
+    table = np.array([np.repeat(values, FREQUENCY.size) * (1 + 0.1 * scatter), np.tile(FREQUENCY, 3),
+                      FACTORS * np.tile(G.real, 3), FACTORS * np.tile(G.imag, 3)])
+    if order == "mixed":
+        table = table[:, np.argsort(table[1], kind="stable")]
+    with pytest.raises(InputError, match=r"must have one sweep of the frequency; column '.*' has 3 values"):
+        load(write(tmp_path, f"{header},Frequency (Hz),G' (Pa),G'' (Pa)", *table))
+
+
+def test_sweeps_of_named_specimens_are_refused(tmp_path):
+    rows = [f"{name},{f:.6g},{factor * g.real:.6g},{factor * g.imag:.6g}"
+            for name, factor in (("left", 1), ("right", 2)) for f, g in zip(FREQUENCY, G, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["Kidney,Frequency (Hz),G' (Pa),G'' (Pa)", *rows]) + "\n")
+    with pytest.raises(InputError, match="column 'Kidney' has 2 values over the same frequencies"):
+        load(tmp_path / "a.csv")
+
+
+def test_quantities_that_vary_during_one_sweep_are_no_sweeps(tmp_path):
+    """Temperature scatters, stress follows the modulus; a sweep up and down has time and point numbers."""
+    rng, there, back = np.random.default_rng(2), FREQUENCY, FREQUENCY[::-1]
+    frequency, moduli = np.concatenate([there, back]), np.concatenate([G, G[::-1]])
+    count = frequency.size
+    imported = load(write(
+        tmp_path, "Point,Time (s),Temperature (C),Strain (%),Stress (Pa),Phase (deg),Frequency (Hz),G' (Pa),G'' (Pa)",
+        np.arange(count) + 1.0, np.cumsum(5.0 / frequency), (24.9 + 0.1 * rng.integers(0, 3, count)),
+        1.0 + 0.005 * rng.standard_normal(count), 0.01 * np.abs(moduli), np.degrees(np.angle(moduli)), frequency,
+        moduli.real, moduli.imag))
+    assert [len(each) for part in imported.tests[0].parts for each in part.reading.recordings] == [count]
+
+
+def test_a_master_curve_with_temperatures_is_one_sweep(tmp_path):
+    temperature = 20.0 + 10.0 * (np.arange(FREQUENCY.size) // 7)
+    imported = load(write(tmp_path, "Temperature (C),Frequency (Hz),G' (Pa),G'' (Pa)", temperature, FREQUENCY, G.real,
+                          G.imag))
+    assert imported.is_complete
+
+
+def test_blocks_with_equal_headers_are_separate_tests(tmp_path):
+    header = "Frequency (Hz),G' (Pa),G'' (Pa)"
+    blocks = [write(tmp_path, header, FREQUENCY, k * G.real, k * G.imag, above=f"Temperature {t} C\n").read_text()
+              for t, k in ((20, 1.0), (30, 0.5), (40, 0.2))]
+    (tmp_path / "a.csv").write_text("\n\n".join(blocks))
+    imported = load(tmp_path / "a.csv")
+    curves = calibration.read_measured_curves(calibration.load_campaign(imported.output))
+    for number, k in enumerate((1.0, 0.5, 0.2), 1):
+        curve, = curves[f"a_{number} storage modulus"]
+        np.testing.assert_allclose(np.exp(curve.force), k * G.real, rtol=1e-7)
+
+
+@pytest.mark.parametrize(("header", "columns"), [
+    ("log omega (rad/s),G' (Pa),G'' (Pa)", (np.log10(OMEGA), G.real, G.imag)),
+    ("log frequency [Hz],G' (Pa),G'' (Pa)", (2 + np.log10(FREQUENCY), G.real, G.imag)),
+    ("ln(f) (Hz),G' (Pa),G'' (Pa)", (9 + np.log(FREQUENCY), G.real, G.imag)),
+    ("Frequency (Hz),Log storage modulus [Pa],log10 loss modulus [Pa]",
+     (FREQUENCY, np.log10(G.real), np.log10(G.imag))),
+    ("log f (Hz),log G' (Pa),log G'' (Pa)", (np.log10(FREQUENCY), np.log10(G.real), np.log10(G.imag)))])
+def test_logarithms_are_refused(tmp_path, header, columns):
+    with pytest.raises(InputError, match="got logarithms in"):
+        load(write(tmp_path, header, *columns))
+
+
+def test_logarithms_next_to_values_are_not_used(tmp_path):
+    imported = load(write(tmp_path, "log f (Hz),Frequency (Hz),G' (Pa),G'' (Pa)", np.log10(FREQUENCY), FREQUENCY,
+                          G.real, G.imag))
+    curve, = calibration.read_measured_curves(calibration.load_campaign(imported.output))["a loss modulus"]
+    np.testing.assert_allclose(curve.displacement, FREQUENCY, rtol=1e-8)
+
+
+def test_a_frequency_that_is_not_positive_is_refused(tmp_path):
+    with pytest.raises(InputError, match="frequency must be positive; got -"):
+        load(write(tmp_path, "Frequency (Hz),G' (Pa),G'' (Pa)", np.log10(FREQUENCY), G.real, G.imag))
 
 
 def test_moduli_without_a_letter_need_a_kind(tmp_path):

@@ -1,13 +1,14 @@
 """Tables of storage and loss modulus over frequency (rheometer, DMA): their columns and their kind of test.
 
-Moduli over amplitude, temperature or time at one frequency are refused.
+Moduli over amplitude, temperature or time at one frequency, several sweeps in one table, and logarithms are refused.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,33 @@ _LETTER = re.compile(r"(?<!\w)([ge]) ?(?:['′’´`\"″”*]|p\b|pp\b|prime\b|
 _ANGULAR = re.compile(r"\bangular\b|\bkreis\w*|\bomega\b|^ω")
 #: Unit of an angular frequency, and of a frequency, whose header states 1/s.
 _PER_SECOND = {"1/s": ("rad/s", "Hz"), "s-1": ("rad/s", "Hz"), "s^-1": ("rad/s", "Hz")}
+#: Words of a logarithm at the start of a header.
+_LOGARITHM = re.compile(r"^(?:log(?:10|_10|e)?|lg|ln)(?![a-z0-9])[ (\[]*(?:of )?")
+#: Words of a temperature.
+_TEMPERATURE = re.compile(r"\btemp(erature?|eratur)?\b|^t ?[(\[]? ?(°|deg|[ck][)\]])")
+
+
+@dataclass(frozen=True)
+class SweepLevels:
+    """Limits that separate the sweeps of one table by the values of a column, such as its temperatures.
+
+    Attributes:
+        temperature: smallest difference of two temperatures, in the unit of the column. Controlled temperatures vary
+            by some tenths of a degree.
+        relative: smallest difference of two other values, relative to the largest value.
+        gap: smallest difference of two values of different sweeps, relative to the range of the column.
+        spread: largest range of the values in one sweep, relative to the smallest difference between sweeps.
+        frequencies: smallest number of frequencies of a sweep.
+    """
+
+    temperature: float = 1.5
+    relative: float = 0.02
+    gap: float = 0.1
+    spread: float = 0.2
+    frequencies: int = 3
+
+
+_LEVELS = SweepLevels()
 #: Words of a shear test, if the headers do not name the modulus by a letter.
 _SHEAR = re.compile(r"\b(shear|rheo\w*|scher\w*|schub\w*|cisaillement|cone|kegel)\b")
 
@@ -67,7 +95,7 @@ def is_frequency_or_amplitude_sweep(headers: Sequence[str]) -> bool:
 
     Such a table has two dynamic moduli, or one modulus and the quantity over which the modulus is measured.
     """
-    names = [_normalize(header) for header in headers]
+    names = [_LOGARITHM.sub("", _normalize(header)) for header in headers]
     moduli = sum(bool(_OTHER_MODULI.search(name)) or any(
         pattern.search(name) for channel, pattern in _CHANNELS.items() if channel != "frequency") for name in names)
     swept = sum(bool(_CHANNELS["frequency"].search(name) or _AMPLITUDES.search(name)) for name in names)
@@ -104,8 +132,9 @@ def split_off_modulus_tables(source: FileContent, found: Sequence[NumberTable], 
         is_named = "frequency" in hints.columns
         if not is_named and (hints.columns or not is_frequency_or_amplitude_sweep(headers)):
             kept.append(numbers)
-        elif (group := _read_modulus_table_or_none(source, numbers, hints, titles)) is None:
-            refused.append((numbers, explain_refused_sweep(headers)))
+        elif isinstance(group := _read_modulus_table_or_refusal(
+                source, numbers, [each for each in found if each.table is numbers.table], hints, titles), str):
+            refused.append((numbers, group))
         else:
             groups.append(replace(group, name=numbers.table.name if len(found) > 1 else ""))
     if not kept and not groups:
@@ -113,14 +142,28 @@ def split_off_modulus_tables(source: FileContent, found: Sequence[NumberTable], 
     return kept, groups, tuple(f"a table is omitted: {reason}" for _, reason in refused[:1])
 
 
-def _read_modulus_table_or_none(source: FileContent, numbers: NumberTable, hints: InterpretationOverrides,
-                                titles: Sequence[KindHint]) -> TableGroup | None:
-    """Return the reading of a table with two moduli over frequency; None for moduli over another quantity."""
+def _read_modulus_table_or_refusal(source: FileContent, numbers: NumberTable, blocks: Sequence[NumberTable],
+                                   hints: InterpretationOverrides, titles: Sequence[KindHint]) -> TableGroup | str:
+    """Return the reading of a table with two moduli over frequency; for another table the reason of its refusal.
+
+    Args:
+        source: content of the file.
+        numbers: table of numbers.
+        blocks: all tables of numbers of the same sheet or text.
+        hints: hints of the user.
+        titles: texts with words for a test outside of the tables.
+    """
+    headers = [numbers.get_column_header(position) for position in numbers.columns]
     columns = _find_named_columns(numbers, hints) if "frequency" in hints.columns else _find_columns(numbers)
     channels = {column.channel for column in columns}
     pair = next((pair for pair in MODULUS_PAIRS if {"frequency", *pair} <= channels), None)
+    if pair is None or "frequency" in hints.columns:
+        read = [column.header for column in columns] if "frequency" in hints.columns else headers
+        if logarithms := [header for header in read if _LOGARITHM.search(_normalize(header))]:
+            return ("columns of frequency and moduli must have values; got logarithms in "
+                    f"{', '.join(map(repr, logarithms))}. Write the values, such as 10^x of a decimal logarithm x")
     if pair is None:
-        return None
+        return explain_refused_sweep(headers)
     columns = [column for column in columns if column.channel in ("frequency", *pair)]
     columns = [replace(column, unit=hints.units.get(column.channel, column.unit)) for column in columns]
     options: dict[str, Any] = {}
@@ -139,8 +182,19 @@ def _read_modulus_table_or_none(source: FileContent, numbers: NumberTable, hints
         if first.line > 1:
             options["skip_lines"] = first.line - 1
     recordings = FileReaderForChosenColumns(source.file, options).read_recordings(columns)
+    # A repeated header begins another recording, which is that of another block.
+    same = [each for each in blocks if each.header is not None and header is not None
+            and each.header.cells == header.cells]
+    if len(recordings) == len(same) > 1:
+        number = next(number for number, each in enumerate(same) if each is numbers)
+        recordings, options["curve"] = (recordings[number],), number + 1
     if any(np.unique(each.channel("frequency")).size < MIN_POINTS for each in recordings):
-        return None
+        return explain_refused_sweep(headers)
+    if (lowest := min(float(each.channel("frequency").min()) for each in recordings)) <= 0.0:
+        return (f"frequency must be positive; got {lowest:g}. Leave out rows without a frequency; write a logarithm as "
+                "values")
+    if several := _explain_several_sweeps_or_empty(numbers, {column.place - 1: column for column in columns}):
+        return several
     kind = _guess_kind(numbers, columns, hints, titles)
     kept = {**options, "columns": {column.channel: column.to_campaign_entry() for column in columns}}
     assumptions = (make_kind_assumption(kind), *(Assumption(
@@ -154,6 +208,65 @@ def _read_modulus_table_or_none(source: FileContent, numbers: NumberTable, hints
                       (numbers.table.name,) if numbers.table.name else (), assumptions=assumptions, unused=unused)
 
 
+def _explain_several_sweeps_or_empty(numbers: NumberTable, used: Mapping[int, ColumnGuess]) -> str:
+    """Return the reason why a table contains several sweeps of the frequency; empty for one sweep.
+
+    The rows of a sweep have one value of another column, such as temperature, strain amplitude or specimen, and the
+    ranges of the frequency overlap.
+
+    Args:
+        numbers: table of moduli.
+        used: position -> column that is read.
+    """
+    place = next(place for place, column in used.items() if column.channel == "frequency")
+    frequency = _parse_column(numbers, place)
+    for other in range(numbers.column_count):
+        values = np.array([]) if other in used else _parse_column(numbers, other)
+        header = numbers.get_column_header(other)
+        if not values.size or np.isnan(values).all():
+            continue
+        levels = _find_levels(values, is_temperature=bool(_TEMPERATURE.search(_normalize(header))))
+        ranges = sorted((frequency[rows].min(), frequency[rows].max()) for rows in levels
+                        if np.unique(frequency[rows]).size >= _LEVELS.frequencies)
+        if 1 < len(ranges) == len(levels) and any(after[0] <= before[1] for before, after in pairwise(ranges)):
+            return (f"a table must have one sweep of the frequency; column {header or other + 1!r} has {len(levels)} "
+                    "values over the same frequencies. Write the rows of each value to a file of its own; import the "
+                    "files of one state of the material together")
+    return ""
+
+
+def _parse_column(numbers: NumberTable, place: int) -> np.ndarray:
+    """Return the numbers of a column, NaN without a number; texts get the number of their first row, shape (n,)."""
+    cells = [row.cells[place].strip() if place < len(row.cells) else "" for row in numbers.rows]
+    values = []
+    for cell in cells:
+        try:
+            values.append(float(cell.replace(",", ".")))
+        except ValueError:
+            values.append(np.nan)
+    if cells and np.isnan(values).all() and any(cells):
+        return np.array([cells.index(cell) + 1.0 for cell in cells])
+    return np.array(values)
+
+
+def _find_levels(values: np.ndarray, *, is_temperature: bool) -> list[np.ndarray]:
+    """Return the rows of each level of a column; one level if the values do not form separate groups.
+
+    Args:
+        values: values of the rows, shape (n,); NaN: no value.
+        is_temperature: whether the column is a temperature.
+    """
+    order = np.argsort(values, kind="stable")[:int(np.isfinite(values).sum())]
+    ordered = values[order]
+    steps = np.diff(ordered)
+    smallest = _LEVELS.temperature if is_temperature else _LEVELS.relative * float(np.abs(ordered).max())
+    cuts = np.flatnonzero(steps > max(_LEVELS.gap * float(np.ptp(ordered)), smallest)) + 1
+    levels = np.split(order, cuts)
+    largest_spread = max(float(np.ptp(values[rows])) for rows in levels)
+    is_separate = cuts.size and largest_spread <= _LEVELS.spread * float(steps[cuts - 1].min())
+    return levels if is_separate else [order]
+
+
 def _find_columns(numbers: NumberTable) -> list[ColumnGuess]:
     """Return the first column of each channel; of several frequencies the first with a known unit."""
     found: dict[str, ColumnGuess] = {}
@@ -161,7 +274,8 @@ def _find_columns(numbers: NumberTable) -> list[ColumnGuess]:
         header = numbers.get_column_header(place)
         name = _normalize(numbers.get_header_without_unit(place)) or _normalize(header)
         channel = next((channel for channel, pattern in _CHANNELS.items() if pattern.search(name)), None)
-        if channel is None or (channel == "frequency" and _AMPLITUDES.search(name)):
+        if channel is None or (channel == "frequency" and _AMPLITUDES.search(name)) \
+                or _LOGARITHM.search(_normalize(header)):
             continue
         unit, reason = numbers.get_unit_in_header_or_unit_row(place), f"column {header!r}"
         if channel == "frequency":
