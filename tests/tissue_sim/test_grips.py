@@ -144,7 +144,7 @@ def test_refused_experiments(kind, specimen, protocol, message):
 
 @pytest.mark.parametrize("changes", [{"friction": "frictionless"}, {"tilt": 1e-4}, {"slip": 0.5}])
 def test_grips_hold_the_ends(changes):
-    with pytest.raises(ts.InputError, match=r"both grips must be plates with bonded contact|must be 0 for a gripped specimen"):
+    with pytest.raises(ts.InputError, match=r"both grips must be plates|must be 0 for a gripped specimen"):
         ts.KINDS["uniaxial_tension"].experiment(specimen=CYLINDER, protocol=ts.Protocol.ramp(0.001), **changes)
 
 
