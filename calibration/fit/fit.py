@@ -382,7 +382,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         noise_ratio: root mean square of the residuals in units of their noise.
         AIC: Akaike information criterion for known noise and priors as penalties, up to a constant common to all laws.
         BIC: Schwarz criterion, likewise.
-        E0: initial Young's modulus of the incompressible law, Pa.
+        E0: initial Young's modulus, Pa: 3 mu0 of an incompressible material, and that of a compressible law.
         mu0: initial shear modulus, Pa.
         stable_from: smallest stretch that is Drucker-stable in all three modes of loading.
         stable_to: largest such stretch.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 from calibration.fit.fit import Fit, get_shared_and_population_mean_material
 from calibration.report.content import Span
@@ -58,9 +58,18 @@ def format_parameter_interval_without_unit(fit: Fit, name: str, units: ReportUni
 
 
 def compute_shear_modulus_error_or_none(fit: Fit) -> float | None:
-    """Return the standard error of the initial shear modulus, Pa, by linear propagation of the covariance.
+    """Return the standard error of the initial shear modulus, Pa; see `_compute_modulus_error_or_none`."""
+    return _compute_modulus_error_or_none(fit, find_law(fit.law).mu0)
+
+
+def _compute_modulus_error_or_none(fit: Fit, compute_modulus: Callable[[Mapping[str, float]], float]) -> float | None:
+    """Return the standard error of a modulus of the law, Pa, by linear propagation of the covariance.
 
     For specimens that differ the covariance of the mean material is used.
+
+    Args:
+        fit: fit of a law.
+        compute_modulus: returns the modulus, Pa, of the parameters of the law.
 
     Returns:
         The standard error; None if a parameter of the law has no error or differs between tests.
@@ -71,9 +80,9 @@ def compute_shear_modulus_error_or_none(fit: Fit) -> float | None:
         return None
 
     def differentiate_modulus_by_one_parameter(name: str) -> float:
-        """Return the derivative of the initial shear modulus with respect to one parameter (central difference)."""
+        """Return the derivative of the modulus with respect to one parameter (central difference)."""
         step = _STEP * (abs(values[name]) or 1.0)
-        ends = (law.mu0({**values, name: values[name] + side * step}) for side in (1, -1))
+        ends = (compute_modulus({**values, name: values[name] + side * step}) for side in (1, -1))
         return (next(ends) - next(ends)) / (2 * step)
 
     rates = [differentiate_modulus_by_one_parameter(name) for name in law.parameters]
@@ -90,15 +99,15 @@ def format_young_and_shear_modulus_values(fit: Fit, units: ReportUnits) -> tuple
     Both are rounded to the precision of their standard errors, which are not written.
     """
     size, error = units.pressure.size, compute_shear_modulus_error_or_none(fit)
-    ratio = fit.E0 / fit.mu0 if fit.mu0 else 3.0
-    return (format_value_rounded_by_error(fit.E0 / size, error and abs(ratio) * error / size),
+    young_error = _compute_modulus_error_or_none(fit, find_law(fit.law).E0)
+    return (format_value_rounded_by_error(fit.E0 / size, young_error and young_error / size),
             format_value_rounded_by_error(fit.mu0 / size, error and error / size))
 
 
 def format_young_modulus(fit: Fit, units: ReportUnits) -> str:
     """Return Young's modulus with its standard error, such as ``5.93 ± 0.14 kPa``."""
-    size, error = units.pressure.size, compute_shear_modulus_error_or_none(fit)
-    return format_value_and_error(fit.E0 / size, error and abs(fit.E0 / fit.mu0) * error / size, units.pressure.name)
+    size, error = units.pressure.size, _compute_modulus_error_or_none(fit, find_law(fit.law).E0)
+    return format_value_and_error(fit.E0 / size, error and error / size, units.pressure.name)
 
 
 def make_parameter_symbol(fit: Fit, name: str, mark: str = "symbol") -> Span:

@@ -6,6 +6,8 @@ from scipy.optimize import least_squares
 
 import tissue_sim as ts
 from calibration import ImportOptions, InterpretationOverrides, calibrate, import_files
+from calibration.report.fit_text import format_young_modulus
+from calibration.report.quantities import ReportUnits, format_value_and_error
 
 #: Name of the file -> kind of test, channel of its abscissa.
 TESTS = {"UT": ("uniaxial_tension", "stretch"), "UC": ("lubricated_compression", "stretch"),
@@ -95,6 +97,38 @@ def write_true_stress_campaign(folder, kind, mode, laws, measure="true"):
         "[test.columns]", 'stretch = "stretch"', f'"nominal stress" = {stress}', "[fit]", f"laws = {laws}"]) + "\n",
         encoding="utf-8")
     return folder / "study.toml"
+
+
+@pytest.mark.parametrize(("laws", "volume"), [
+    ('["hyperfoam"]', "compressible with the volumetric response of hyperfoam_1"),
+    ('["hyperfoam", "neo_hooke"]', "compressible with the volumetric response of hyperfoam_1, and with the other laws "
+     "incompressible"), ('["neo_hooke"]', "incompressible")])
+def test_report_states_the_change_of_volume(laws, volume, tmp_path):
+    law, exact = ts.find_law("hyperfoam_1"), [2e4, 5.0, 0.2]
+    stretch = np.linspace(1.0, 0.6, 30)
+    curves = {"lubricated_compression": ("stretch", stretch, law.nominal_stress(stretch, exact))}
+    calibrate([write_campaign(tmp_path, curves, [f"laws = {laws}"])], tmp_path / "out", figures=False)
+    methods, page = ((tmp_path / "out" / name).read_text(encoding="utf-8") for name in ("methods.txt", "report.html"))
+    assert f"The material is {volume}." in methods and f"The material is {volume}. It is elastic" in page
+    assert ("Storåkers" in methods) == ("hyperfoam" in laws)
+    assert "incompressible" in volume or "incompressible" not in methods
+
+
+def test_error_of_young_modulus_contains_that_of_poisson_ratio(tmp_path):
+    """E = 2 mu (1 + nu): its variance has the terms of mu, nu and their covariance."""
+    law, exact = ts.find_law("hyperfoam_1"), [2e4, 5.0, 0.2]
+    stretch, rng = np.linspace(1.0, 0.6, 60), np.random.default_rng(3)
+    stress = law.nominal_stress(stretch, exact) + 100.0 * rng.standard_normal(60)
+    path = write_campaign(tmp_path, {"lubricated_compression": ("stretch", stretch, stress)}, ['laws = ["hyperfoam"]'])
+    result, = calibrate([path], tmp_path / "out", figures=False)
+    fit = result.best
+    mu, nu = fit.parameters["mu1"], fit.parameters["nu1"]
+    order = list(fit.covariance.order)
+    rates = np.array([{"mu1": 2.0 * (1.0 + nu), "nu1": 2.0 * mu}.get(name, 0.0) for name in order])
+    error = float(np.sqrt(rates @ np.array(fit.covariance.matrix) @ rates))
+    units = ReportUnits.choose_for_best_fit(result)
+    assert format_young_modulus(fit, units) == format_value_and_error(
+        2.0 * mu * (1.0 + nu) / units.pressure.size, error / units.pressure.size, units.pressure.name)
 
 
 @pytest.mark.parametrize(("kind", "mode", "laws", "message"), [

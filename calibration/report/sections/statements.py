@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import PackageNotFoundError, version
 
 import tissue_sim
+from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.sample_selection import format_notes_summary_by_test_and_subject
 from calibration.campaign.tables import ROUND_SOLVER
@@ -59,6 +60,8 @@ _REFERENCES = {
                      "the large stretch behavior of rubber elastic materials. J Mech Phys Solids 41:389-412"),
     "fung_demiray": ("Demiray 1972", "Demiray H (1972) A note on the elasticity of soft biological tissues. J Biomech "
                      "5:309-311"),
+    "hyperfoam": ("Storåkers 1986", "Storåkers B (1986) On material representation and constitutive branching in "
+                  "finite compressible elasticity. J Mech Phys Solids 34:125-145"),
     "fractional_zener": ("Mainardi 2010", "Mainardi F (2010) Fractional Calculus and Waves in Linear Viscoelasticity. "
                          "Imperial College Press, London"),
     "prony": ("Simo 1987", "Simo JC (1987) On a fully three-dimensional finite-strain viscoelastic damage model. "
@@ -164,9 +167,9 @@ def _format_laws_paragraph(result: CalibrationResult, cite) -> str:
 def _format_method_paragraph(result: CalibrationResult, cite) -> str:
     """Return the paragraph on the forward models, the optimisation, and the ranking of the laws."""
     if result.campaign.fit.method == "analytical":
-        text = ("Identification. The closed forms of the homogeneous deformation of the incompressible material were "
-                "fitted to the nominal stress by non-linear least squares (trust region reflective, several "
-                f"starts; {cite('descent')[1:-1]}).")
+        text = ("Identification. The closed forms of the homogeneous deformation were fitted to the nominal stress by "
+                f"non-linear least squares (trust region reflective, several starts; {cite('descent')[1:-1]}). The "
+                f"material is {_describe_volume_in_closed_forms(result.campaign)}.")
         offsets = result.campaign.fit.offset == "fit"
         text += " Contact offset and force zero of each recording were fitted with priors." if offsets else ""
         return f"{text} {_format_ranking_sentence(result, cite)}"
@@ -278,13 +281,26 @@ def _list_calibration_assumptions(result: CalibrationResult, units: ReportUnits)
     return [*lines, *describe_aggregate_modulus(campaign, result.best), describe_self_weight(campaign, result.best)]
 
 
-def _list_analytical_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]:
-    """Return the assumptions of a fit with closed forms, one sentence each."""
-    fit, noise = result.campaign.fit, result.campaign.noise
-    confined = [test.kind.has_lateral_wall for test in result.campaign.tests]
+def _describe_volume_in_closed_forms(campaign: Campaign) -> str:
+    """Return the assumption of closed forms on the change of volume: "incompressible", or the tests and laws without.
+
+    A compressible law states the volumetric response itself; the other laws have one in confined compression only.
+    """
+    confined = [test.kind.has_lateral_wall for test in campaign.tests]
     volume = ("compressible" if all(confined) else
               "compressible in confined compression and incompressible in the other tests" if any(confined) else
               "incompressible")
+    compressible = [name for name in campaign.fit.laws if find_law(name).is_compressible]
+    if not compressible or volume == "compressible":
+        return volume
+    own = f"compressible with the volumetric response of {join_as_enumeration(compressible)}"
+    return own if len(compressible) == len(campaign.fit.laws) else f"{own}, and with the other laws {volume}"
+
+
+def _list_analytical_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]:
+    """Return the assumptions of a fit with closed forms, one sentence each."""
+    fit, noise = result.campaign.fit, result.campaign.noise
+    volume = _describe_volume_in_closed_forms(result.campaign)
     lines = [f"The material is {volume}. Its viscoelastic parameters are fitted to ramps, holds and unloading."]
     if all(path.startswith("bulk.") for path in fit.stated_non_law_parameter_paths):
         lines = [f"The material is {volume}. It is elastic: only the loading is fitted, and the speed has no "
