@@ -154,11 +154,17 @@ class LackOfFitR2AndRelativeError:
     Attributes:
         R2: fraction of the variance of the force that the law explains, without noise and scatter between recordings;
             None with fewer than 8 such samples.
-        relative_error: root mean square lack of fit, relative to the largest force.
+        relative_error: root mean square lack of fit, relative to the largest force; of a modulus,
+            relative to its value.
     """
 
     R2: float | None
     relative_error: float
+
+
+def get_residual_scale(curve: MeasuredCurve) -> float:
+    """Return the divisor of relative residuals: the largest absolute force, N; 1 for the logarithm of a modulus."""
+    return 1.0 if curve.test.modulus else float(np.abs(curve.force).max())
 
 
 def compute_lack_of_fit_r2_and_relative_error(problem: LeastSquaresProblem, gap: np.ndarray,
@@ -172,7 +178,7 @@ def compute_lack_of_fit_r2_and_relative_error(problem: LeastSquaresProblem, gap:
     """
     rows = [(rows, problem.tests[number].measured[r]) for rows, (t, r) in zip(problem.rows, problem.places, strict=True)
             if t == number]
-    largest = max(float(np.abs(curve.force).max()) for _, curve in rows)
+    largest = max(get_residual_scale(curve) for _, curve in rows)
     parts = [(curve, gap[place], make_mask_of_moving_samples(curve)) for place, curve in rows]
     parts = [(curve, mine, moving) for curve, mine, moving in parts if moving.sum() >= _SAMPLE_COUNTS.min_samples]
     if not parts:
@@ -230,6 +236,9 @@ def describe_stiffness_disagreement_or_empty(problem: LeastSquaresProblem, model
         model: force of the law at all samples, N, shape (N,).
         smallest_R2: fraction of the variance that the scaled force must explain.
     """
+    # The logarithm of a modulus has no factor of stiffness.
+    if any(test.measured[0].test.modulus for test in problem.tests):
+        return ""
     if len(problem.tests) < 2 or len({test.measured[0].test.kind.name for test in problem.tests}) > 1:
         return ""
     factors = {}

@@ -17,7 +17,7 @@ from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Prediction
 from calibration.fit.identifiability import find_undetermined_parameters
-from calibration.fit.lack_of_fit import format_regions_with_misfit
+from calibration.fit.lack_of_fit import format_regions_with_misfit, get_residual_scale
 from calibration.fit.population import PredictionParameters, adapt_predictor_to_left_out_test_or_none
 from calibration.fit.problem import LeastSquaresProblem, ProblemEvaluation
 from calibration.fit.trust_region import minimise_from_start
@@ -124,8 +124,7 @@ def predict_test(problem: LeastSquaresProblem, test: ForwardTest, predictor: Pre
         if jitter is not None:
             variance = np.einsum("np,pq,nq->n", rates, covariance, rates) + measured.noise.deviation**2
             expected += float(np.sum(variance + (jitter.contact * contact)**2 + jitter.zero**2))
-        # A difference of logarithms is relative to the modulus.
-        largest = 1.0 if measured.test.modulus else max(largest, float(np.abs(measured.force).max()))
+        largest = max(largest, get_residual_scale(measured))
         samples += measured.force.size
     rmse = float(np.sqrt(squares / samples))
     stressed = test.measured[0].test.states_stress

@@ -25,6 +25,7 @@ from calibration.fit.identifiability import ShearModulusPrecision
 from calibration.fit.lack_of_fit import (
     compute_lack_of_fit_r2_and_relative_error,
     describe_stiffness_disagreement_or_empty,
+    get_residual_scale,
 )
 from calibration.fit.ordinary_problem import OrdinaryProblem
 from calibration.fit.population import PopulationAndLeftOutSpecimens
@@ -58,6 +59,9 @@ class UsabilitySettings:
         start_fraction: a force against the load at the start counts above this fraction of the range of the force ...
         start_noise: ... and above this many times the noise; the remedy of a misfit is then the zero of the load cell.
             A force that exceeds that at the start by more is a clear rise, before which the tool may be in the air.
+        largest_modulus_noise: largest estimated noise of a storage or loss modulus, relative to it. A rheometer has a
+            few percent; a larger scatter of neighbouring frequencies shows several sweeps in one table. Stated noise is
+            not limited.
 
     Raises:
         InputError: a limit is not positive, or `smallest_R2` is 1 or more.
@@ -69,6 +73,7 @@ class UsabilitySettings:
     start_samples: int = 3
     start_fraction: float = 0.02
     start_noise: float = 5.0
+    largest_modulus_noise: float = 0.2
 
     def __post_init__(self) -> None:
         require_all_settings_positive(self)
@@ -246,7 +251,7 @@ def evaluate_usability_clauses_and_status(
         [clause for clause in failed if clause.name != "unique" or len(failed) == 1]
     remedies = dict.fromkeys(clause.remedy for clause in first if clause.remedy)
     # Where the recordings themselves are at fault, another law is no remedy.
-    at_fault = any(clause.name in ("recordings", "replicates") for clause in first)
+    at_fault = any(clause.name in ("recordings", "modulus_noise", "replicates") for clause in first)
     specific = [remedy for remedy in remedies if remedy != _OTHER_LAW] or ([] if at_fault else list(remedies))
     return clauses, first[0].status, "; ".join([*(clause.reason for clause in first), *specific])
 
@@ -330,6 +335,18 @@ def _evaluate_screening_clause(evidence: UsabilityEvidence) -> UsabilityClauseRe
     return _clause_from_reason("recordings", "misfit", "; ".join(reasons))
 
 
+def _evaluate_modulus_noise_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
+    """Return the clause that the estimated noise of moduli is that of one sweep, not the scatter of several sweeps."""
+    limit = evidence.limits.largest_modulus_noise
+    found = {curve.test.name: curve.noise.deviation for curve in evidence.estimate.problem.measured
+             if curve.test.modulus and curve.noise.source == "estimated" and curve.noise.deviation > limit}
+    reasons = [f"{name}: the estimated noise is {deviation:.0%} of the modulus, and the limit is {limit:.0%}"
+               for name, deviation in found.items()]
+    return _clause_from_reason("modulus_noise", "misfit", "; ".join(reasons),
+                               "write sweeps of several temperatures, strain amplitudes or specimens to files of their "
+                               "own, or state modulus_relative in [noise]")
+
+
 def _evaluate_contact_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
     """Return the clause that a contact that is not fitted is certain enough for the shear modulus."""
     _, ratios = compute_misfit_percents_and_noise_ratios(evidence.estimate)
@@ -369,7 +386,10 @@ def _evaluate_replicate_and_same_kind_clause(evidence: UsabilityEvidence) -> Usa
 
 
 def compute_misfit_percents_and_noise_ratios(estimate: Estimate) -> tuple[dict[str, float], dict[str, float]]:
-    """Return the root mean square residual of each test, % of its largest force, and as a multiple of the noise."""
+    """Return the root mean square residual of each test, % of its largest force, and as a multiple of the noise.
+
+    Residuals of a table of moduli are in % of the modulus.
+    """
     problem, gap = estimate.problem, estimate.evaluation.force - estimate.problem.data
     percents, ratios = {}, {}
     for number, test in enumerate(problem.tests):
@@ -377,7 +397,7 @@ def compute_misfit_percents_and_noise_ratios(estimate: Estimate) -> tuple[dict[s
                 if t == number]
         residual = np.concatenate([gap[rows] for rows, _ in mine])
         scaled = np.concatenate([gap[rows] / curve.noise.deviation for rows, curve in mine])
-        largest = max(float(np.abs(curve.force).max()) for _, curve in mine)
+        largest = max(get_residual_scale(curve) for _, curve in mine)
         percents[test.name] = 100.0 * float(np.sqrt(np.mean(residual**2))) / largest
         ratios[test.name] = float(np.sqrt(np.mean(scaled**2)))
     return percents, ratios
@@ -387,13 +407,18 @@ def _evaluate_residual_clause(evidence: UsabilityEvidence) -> UsabilityClauseRes
     """Return the clause on the residuals of each test, which fails if they exceed the limits of force and of noise."""
     problem = evidence.estimate.problem
     percents, ratios = compute_misfit_percents_and_noise_ratios(evidence.estimate)
-    missed = [f"its residuals in {test.name} are {percents[test.name]:.2g} % of the largest "
-              f"{'stress' if test.measured[0].stressed else 'force'} and {ratios[test.name]:.3g} times the noise"
+    missed = [f"its residuals in {test.name} are {percents[test.name]:.2g} % of the "
+              f"{_name_largest_load(test.measured[0])} and {ratios[test.name]:.3g} times the noise"
               for test in problem.tests if percents[test.name] > 100 * evidence.limits.largest_residual
               and ratios[test.name] > evidence.limits.noise_ratio]
     return _clause_from_reason("residuals", "misfit",
                                f"does not describe the data: {' and '.join(missed)}" if missed else "",
                                _describe_misfit_remedy(evidence) if missed else "")
+
+
+def _name_largest_load(curve: MeasuredCurve) -> str:
+    """Return the name of the quantity to which residuals are relative."""
+    return "modulus" if curve.test.modulus else f"largest {'stress' if curve.stressed else 'force'}"
 
 
 def _evaluate_explained_variance_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
@@ -418,7 +443,8 @@ def _describe_misfit_remedy(evidence: UsabilityEvidence) -> str:
     problem = evidence.estimate.problem
     found = [f"{curve.name}: the force begins at {start:.3g} {'Pa' if curve.stressed else 'N'}, against the load, so "
              "the load cell was not zeroed: set offset = \"start\" for the force in columns"
-             for curve in problem.measured if (start := _get_negative_start_force_or_zero(curve, evidence.limits)) < 0]
+             for curve in problem.measured if curve.has_contact_and_zero
+             and (start := _get_negative_start_force_or_zero(curve, evidence.limits)) < 0]
     return "; ".join(found) or describe_stiffness_disagreement_or_empty(problem, evidence.estimate.evaluation.force,
                                                                         evidence.limits.smallest_R2) or _OTHER_LAW
 
@@ -499,7 +525,7 @@ def _evaluate_modulus_precision_clause(evidence: UsabilityEvidence) -> Usability
 
 
 def _describe_fast_relaxation(evidence: UsabilityEvidence) -> str:
-    """Describe the fitted Prony terms that relax between two samples; empty if there are none.
+    """Describe the fitted Prony terms that relax faster than the recordings resolve; empty if there are none.
 
     The samples contain no information on the modulus before such a relaxation. Its standard error does not show this
     where the relaxation time is on its bound, because parameters on bounds count as fixed.
@@ -508,13 +534,18 @@ def _describe_fast_relaxation(evidence: UsabilityEvidence) -> str:
     material = space.build_material(space.get_values_by_name(evidence.estimate.theta[: len(space.free)]))
     if material.viscoelastic is None:
         return ""
-    interval = compute_median_sampling_interval_or_zero([curve.time for curve in measured if curve.time is not None])
+    # A table of moduli resolves relaxation times down to the inverse of its largest angular frequency.
+    resolved = [1.0 / (2.0 * np.pi * float(curve.displacement.max())) for curve in measured if curve.test.modulus]
+    sampled = compute_median_sampling_interval_or_zero([curve.time for curve in measured if curve.time is not None])
+    interval = min([*resolved, *([sampled] if sampled > 0.0 else [])], default=0.0)
     found = [f"{evidence.symbols[name]} = {term.tau:.3g} s (g = {term.g:.2g})"
              for index, term in enumerate(material.viscoelastic.terms)
              if (name := f"viscoelastic.terms[{index}].tau") in space.free
              and term.tau < interval and term.g > DETERMINATION.change]
     return (f"the tests do not determine the shear modulus mu0 before relaxation: the fitted relaxation time "
-            f"{', '.join(found)} is shorter than the sampling interval, {interval:.3g} s") if found else ""
+            f"{', '.join(found)} is shorter than "
+            f"{'1 / omega of the largest frequency' if interval in resolved else 'the sampling interval'}, "
+            f"{interval:.3g} s") if found else ""
 
 
 def _evaluate_unique_material_clause(evidence: UsabilityEvidence) -> UsabilityClauseResult:
@@ -532,7 +563,7 @@ def _evaluate_population_mean_exists_clause(evidence: UsabilityEvidence) -> Usab
 
 #: Checks of all clauses, in the order of their weight.
 _CHECKS = (_evaluate_positive_shear_modulus_clause, _evaluate_minimiser_convergence_clause, _evaluate_stability_clause,
-           _evaluate_screening_clause, _evaluate_contact_clause,
+           _evaluate_screening_clause, _evaluate_modulus_noise_clause, _evaluate_contact_clause,
            _evaluate_replicate_and_same_kind_clause, _evaluate_residual_clause, _evaluate_explained_variance_clause,
            _evaluate_force_control_displacement_clause, _evaluate_modulus_unstated_bounds_clause,
            _evaluate_modulus_precision_clause, _evaluate_unique_material_clause,

@@ -1,12 +1,13 @@
 """Tables of storage and loss modulus in a campaign: fits, joint fits, readout of the instrument, errors, coverage."""
 
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 import tissue_sim as ts
-from calibration import diagnose, load_campaign, read_measured_curves
+from calibration import calibrate, diagnose, load_campaign, read_measured_curves
 from calibration.campaign.modulus_tables import estimate_noise_of_moduli
 from calibration.fit.problem import build_generalised_problem
 from calibration.fit.trust_region import minimise_from_start
@@ -263,3 +264,52 @@ def test_intervals_of_200_campaigns_contain_the_truth(tmp_path, noise):
     covered = np.mean(inside, axis=0)
     print(noise, dict(zip(problem.space.free, covered.tolist(), strict=True)), np.mean(inside))
     assert 0.92 <= np.mean(inside) <= 0.98
+
+
+def calibrate_table(tmp_path, modulus, **keys):
+    """Return the fit of a table of moduli."""
+    make_campaign(tmp_path, modulus, **keys)
+    result, = calibrate([tmp_path / "campaign.toml"], tmp_path / "out", figures=False, overwrite=True)
+    return result.best
+
+
+def test_residuals_are_relative_to_the_modulus(tmp_path):
+    """A single relaxation cannot describe moduli that depend on the frequency by a power law."""
+    modulus = 1e6 * (1j * FREQUENCY)**0.45
+    found = calibrate_table(tmp_path, modulus, fit='start = { "viscoelastic.terms[0].g" = 0.9, '
+                            '"viscoelastic.terms[0].tau_s" = 0.1 }\n', noise="[noise]\nmodulus_relative = 0.01\n")
+    residuals, = [clause for clause in found.clauses if clause.name == "residuals"]
+    percent = [float(each) for each in re.findall(r"are ([\d.]+) % of the modulus", residuals.reason)]
+    assert not residuals.holds and max(percent) > 40.0, residuals.reason
+    assert "stiffness" not in residuals.remedy
+
+
+def test_sweeps_that_no_column_tells_apart_have_too_much_noise(tmp_path):
+    factors = np.tile([1.0, 0.4], 25)[:FREQUENCY.size]
+    found = calibrate_table(tmp_path, factors * ts.complex_modulus(GEL, FREQUENCY, "simple_shear"))
+    assert found.status == "misfit" and "the estimated noise is" in found.message
+    assert [clause.holds for clause in found.clauses if clause.name == "modulus_noise"] == [False]
+
+
+def test_a_table_resolves_relaxations_that_a_slow_recording_does_not(tmp_path):
+    """The relaxation time of 20 ms lies between 1 / omega of the table, 3 ms, and the sampling interval of 0.5 s."""
+    time = np.linspace(0.0, 30.0, 61)
+    stretch = 1.0 - 0.2 * np.minimum(time / 5.0, 1.0)
+    stress = ts.nominal_stress_history(GEL, time, stretch) + np.random.default_rng(1).normal(0.0, 2.0, time.size)
+    hold = ts.Recording({"time": time, "stretch": stretch, "nominal stress": stress})
+    ts.write_recording(hold, tmp_path / "hold.csv")
+    noise = 0.01 * np.random.default_rng(2).standard_normal((2, FREQUENCY.size))
+    found = calibrate_table(
+        tmp_path, ts.complex_modulus(GEL, FREQUENCY, "simple_shear"), table=noise,
+        more="[[test]]\nname = 'hold'\nkind = 'lubricated_compression'\nrecordings = ['hold.csv']\n",
+        noise="[noise]\nnominal_stress_Pa = 2.0\nmodulus_relative = 0.01\n")
+    assert found.status == "converged", found.message
+
+
+def test_a_relaxation_faster_than_the_table_is_not_determined(tmp_path):
+    """The moduli of 2 to 20 Hz rise by a relaxation of 0.1 ms, below 1 / omega of the largest frequency, 3 ms."""
+    fast = ts.Material("neo_hooke", {"C10": 1000.0}, viscoelastic=ts.Prony((ts.PronyTerm(0.6, 1e-4),)))
+    found = calibrate_table(tmp_path, ts.complex_modulus(fast, FREQUENCY, "simple_shear"),
+                            fit='start = { "viscoelastic.terms[0].g" = 0.6, "viscoelastic.terms[0].tau_s" = 1e-4 }\n')
+    assert found.status == "not_determined" and "shorter than 1 / omega of the largest frequency" in found.message, \
+        found.message

@@ -197,6 +197,7 @@ CRITERIA = {
     "converged": "a minimum was found",
     "stable": "stable over the data",
     "recordings": "recordings valid for this law",
+    "modulus_noise": "plausible noise of moduli",
     "contact": "contact known well enough for the shear modulus",
     "replicates": "recordings agree",
     "residuals": "residuals within the limit",
