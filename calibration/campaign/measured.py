@@ -183,21 +183,30 @@ class MeasuredCurve:
                        interpolation=select_or_none(self.interpolation), motions=select_or_none(self.motions))
 
     def subtract_contact_offset(self, offset: float) -> MeasuredCurve:
-        """Return the curve with its motion measured from another contact; with several motions that of the load.
+        """Return the curve with its motion measured from another contact.
 
         Args:
             offset: contact offset, m.
+
+        Raises:
+            InputError: an offset of a curve that has no contact offset.
         """
-        if self.motions is None:
-            return replace(self, displacement=self.displacement - offset)
-        kind, motions = self.test.kind, self.motions.copy()
-        motions[:, 0] -= kind.sign * offset / self.test.reference_height
-        return replace(self, motions=motions)
+        if not offset:
+            return self
+        if not self.has_contact_offset:
+            raise InputError(f"the contact offset of {self.name} must be 0; got {offset:g}. Several motions of "
+                             f"{self.test.kind.name} have no common contact offset", field="offset")
+        return replace(self, displacement=self.displacement - offset)
 
     @property
-    def has_contact_and_zero(self) -> bool:
-        """Whether the curve has a contact offset and a zero of the load; a modulus over frequency has none."""
+    def has_zero(self) -> bool:
+        """Whether the curve has a zero of the load; a modulus over frequency has none."""
         return not self.test.modulus
+
+    @property
+    def has_contact_offset(self) -> bool:
+        """Whether the curve has a contact offset: one motion determines its load."""
+        return not self.test.modulus and self.motions is None
 
     @property
     def sample_times(self) -> np.ndarray:
@@ -274,7 +283,22 @@ def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, .
     if analytical and campaign.fit.offset == "fit" and all(curve.stressed for curve in fitted):
         raise InputError('offset = "fit" requires tests recorded as displacement and force; set offset = "none"',
                          file=campaign.path, field="fit.offset")
+    _require_a_contact_offset_if_stated(campaign, fitted)
     return found
+
+
+def _require_a_contact_offset_if_stated(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> None:
+    """Raise an `InputError` for a stated contact offset if the only fitted motions are several motions at once."""
+    several = next((curve.test.kind.name for curve in curves if curve.motions is not None), "")
+    if not several or any(curve.has_contact_offset for curve in curves):
+        return
+    reason = f"{several} has a motion for each axis and no contact offset that both loads share"
+    if campaign.fit.offset == "fit":
+        raise InputError(f'offset must be "none", because {several} is the only motion; got "fit". {reason}. State '
+                         "noise.zero_jitter_N for the zero of the loads", file=campaign.path, field="fit.offset")
+    if campaign.noise.contact_jitter:
+        raise InputError(f"contact_jitter_mm must be left out; got {1e3 * campaign.noise.contact_jitter:g}. {reason}. "
+                         "Leave it out", file=campaign.path, field="noise.contact_jitter_mm")
 
 
 def _add_noise_of_force_control(curves: Sequence[MeasuredCurve], campaign: Campaign) -> list[MeasuredCurve]:
@@ -306,7 +330,7 @@ def compute_default_contact_offset_deviation(curves: Sequence[MeasuredCurve]) ->
     smaller. For tests recorded as strain the value is a fraction of the strain.
     """
     usual = OFFSET_DEFAULTS
-    curves = [curve for curve in curves if curve.has_contact_and_zero]
+    curves = [curve for curve in curves if curve.has_contact_offset]
     if not curves:
         return usual.contact_prior
     return min(usual.strain_fraction * reach if stressed else min(usual.contact_fraction * reach, usual.contact_prior)

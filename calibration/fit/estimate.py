@@ -159,7 +159,8 @@ def _derive_problem_with_estimated_jitter(problem: GeneralisedProblem, theta: np
     if all(len(test.measured) < 2 for test in problem.tests):
         return problem
     replicates = problem.linearise_replicates(theta)
-    return replace(problem, jitter=estimate_jitter(replicates, contact=stated.contact_jitter, zero=stated.zero_jitter))
+    contact = stated.contact_jitter if any(curve.has_contact_offset for curve in problem.measured) else 0.0
+    return replace(problem, jitter=estimate_jitter(replicates, contact=contact, zero=stated.zero_jitter))
 
 
 def _are_jitters_equal(one: ContactAndForceZeroJitter, other: ContactAndForceZeroJitter) -> bool:

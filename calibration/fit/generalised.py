@@ -367,17 +367,19 @@ def _list_residual_and_nuisance_warnings(problem: GeneralisedProblem, evaluation
                         'elastic material has no relaxation and no hysteresis; name "viscoelastic.terms[0].g" and '
                         '".tau_s", or "softening.loss", in fit.start to use them')
     few = jitter.freedom is not None and 0 < jitter.freedom < INVERSE_WARNINGS.few_degrees_of_freedom
-    if few and not (jitter.contact and jitter.zero):
-        kind = "contact" if not jitter.contact else "zero"
+    has_contact = any(curve.has_contact_offset for curve in problem.measured)
+    if few and not (jitter.zero and (jitter.contact or not has_contact)):
+        kind = "contact" if has_contact and not jitter.contact else "zero"
         warnings.append(f"the estimated scatter of the {kind} from few recordings is 0, which may be chance: state "
                         f"{'contact_jitter_mm' if kind == 'contact' else 'zero_jitter_N'}")
     if jitter.freedom == 0:
         assumed = _build_jitter_record(problem)
         of_strain = " (1000 times strain, and Pa)" if assumed.stressed else ""
         contact, zero = assumed.contact_and_zero_jitter_texts
+        contact, keys = (f"contact {contact}, ", "contact_jitter_mm and zero_jitter_N") if has_contact else \
+            ("", "zero_jitter_N")
         warnings.append("no test has two recordings, so the scatter between recordings is not known and was assumed: "
-                        f"contact {contact}, zero {zero}; state "
-                        f"contact_jitter_mm and zero_jitter_N{of_strain}")
+                        f"{contact}zero {zero}; state {keys}{of_strain}")
     if spread.ratio > NOISE_RATIOS.model_error:
         warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model is incomplete, and the standard "
                         "errors are rough estimates")
@@ -403,8 +405,8 @@ def _build_nuisance_records(problem: GeneralisedProblem, evaluation: ProblemEval
     for columns, curve in zip(problem.offset_columns, problem.measured, strict=True):
         values = dict(zip(problem.kinds, evaluation.nuisances[columns], strict=True))
         errors = dict(zip(problem.kinds, deviations[columns], strict=True))
-        pairs = {kind: (values[kind] * size[kind], errors[kind] * size[kind]) if kind in values else (0.0, 0.0)
-                 for kind in ("contact", "zero")}
+        pairs = {kind: (values[kind] * size[kind], errors[kind] * size[kind]) if kind in values and exists
+                 else (0.0, 0.0) for kind, exists in (("contact", curve.has_contact_offset), ("zero", curve.has_zero))}
         found.append(Nuisance(
             replicate=curve.name, contact_offset_mm=float(pairs["contact"][0] * 1e3),
             contact_offset_error_mm=float(pairs["contact"][1] * 1e3), zero_offset_N=float(pairs["zero"][0]),

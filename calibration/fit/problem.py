@@ -501,7 +501,7 @@ class GeneralisedProblem(LeastSquaresProblem):
             modes, weights = self._compute_mesh_error_modes_of_force(t, measured, model), nuisances[self.shared[t]]
             # A mesh error proportional to the force changes the derivatives by the same factor.
             factor = 1.0 + self._compute_mesh_error_modes_of_force(t, measured, np.ones_like(model)) @ weights
-            zero = np.full_like(model, float(measured.has_contact_and_zero))
+            zero = np.full_like(model, float(measured.has_zero))
             nuisance_columns = {"contact": factor * contact_rate, "zero": zero}
             force[rows] = model + values.get("zero", 0.0) * zero
             gap = force[rows] - measured.force + modes @ weights
@@ -544,7 +544,7 @@ class GeneralisedProblem(LeastSquaresProblem):
         found: list[list[WhitenedReplicate]] = [[] for _ in self.tests]
         for t, r in self.places:
             measured = self.tests[t].measured[r]
-            if not measured.has_contact_and_zero:
+            if not measured.has_zero:
                 continue
             model, rates, contact = self.tests[t].evaluate_force_and_derivatives(answers[t], r, 0.0)
             changes = np.column_stack([model - measured.force, contact, np.ones_like(model), rates,
@@ -582,13 +582,15 @@ def make_stated_or_guessed_jitter(campaign: Campaign, curves: Sequence[MeasuredC
     """Return one jitter for all tests: stated values, or first guesses of values that are estimated later."""
     fit, noise = campaign.fit, campaign.noise
     contact, zero, freedom = noise.contact_jitter, noise.zero_jitter, None
-    curves = [curve for curve in curves if curve.has_contact_and_zero]
+    curves = [curve for curve in curves if curve.has_zero]
     if not curves:
         return ContactAndForceZeroJitter(0.0, 0.0, None)
     largest = float(np.median([np.abs(curve.force).max() for curve in curves]))
     if fit.offset == "fit":
         noisiest = max(curve.noise.deviation for curve in curves)
         contact, zero = fit.offset_prior, fit.zero_prior or OFFSET_DEFAULTS.zero_prior * noisiest
+    if not any(curve.has_contact_offset for curve in curves):
+        contact = 0.0
     if contact is None:
         contact, freedom = compute_default_contact_offset_deviation(curves), 0
     if zero is None:

@@ -173,13 +173,17 @@ class ClosedFormTest:
             answers: solutions of the recordings from `solve`.
             recording: index in `measured`.
             offset: contact offset, m.
-            contact: whether the derivative with respect to the contact offset is computed; otherwise it is None.
+            contact: whether the derivative with respect to the contact offset is computed; otherwise it is None. It is
+                zero for a curve without a contact offset.
         """
-        answer = answers[recording]
+        answer, measured = answers[recording], self.measured[recording]
+        differentiates = contact and measured.has_contact_offset
         force, rates, rate = self._evaluate_elastic_force_and_derivatives(
-            answer, self.measured[recording].subtract_contact_offset(offset), contact) \
+            answer, measured.subtract_contact_offset(offset), differentiates) \
             if answer.material is None else self._evaluate_force_with_memory(answer, answer.material, recording, offset,
-                                                                             contact)
+                                                                             differentiates)
+        if contact and not differentiates:
+            rate = np.zeros_like(force)
         if not (np.isfinite(force).all() and np.isfinite(rates).all()):
             raise InfeasibleError(f"{self.name}: {answer.law.name} gives no finite stress")
         return force, rates, rate

@@ -166,6 +166,45 @@ def test_diagnosis_of_both_axes(tmp_path):
     assert result.diagnosis.fit_before.parameters["C10"] == pytest.approx(5000.0, rel=0.01)
 
 
+@pytest.mark.parametrize("names", ["a", "ab"])
+def test_an_inverse_fit_has_no_contact_offset(tmp_path, names):
+    """The loads of a recording have the same two stretches: only the zero of each load scatters."""
+    noise = np.random.default_rng(8)
+    for name in names:
+        write(tmp_path, name, LAW.nominal_stress(STRETCH, TRUTH, "biaxial") + noise.normal(0.0, 20.0, STRETCH.shape),
+              time=TIME)
+    best = calibrate(tmp_path, make_test() + FIT + 'method = "inverse_fem"\n').best
+    assert names != "a" or len(best.nuisances) == 2
+    assert all(each.contact_offset_mm == each.contact_offset_error_mm == 0.0 for each in best.nuisances)
+    assert best.jitter.contact_mm == 0.0 and "contact_jitter_mm" not in best.message
+    for name, value in TRUTH.items():
+        assert abs(best.parameters[name] - value) < 4.0 * best.standard_errors[name]
+
+
+def test_a_contact_jitter_applies_to_the_other_tests(tmp_path):
+    noise = np.random.default_rng(9)
+    write(tmp_path, "a_sheet", STRESS + noise.normal(0.0, 20.0, STRESS.shape), time=TIME)
+    ts.write_recording(ts.Recording({"time": TIME, "stretch": STRETCH[:, 0], "nominal stress": LAW.nominal_stress(
+        STRETCH[:, 0], TRUTH) + noise.normal(0.0, 20.0, TIME.size)}), tmp_path / "strip.csv")
+    best = calibrate(tmp_path, make_test("a_*.csv") + make_test("strip.csv", "uniaxial_tension") + FIT
+                     + 'method = "inverse_fem"\n\n[noise]\ncontact_jitter_mm = 5.0\nzero_jitter_N = 10.0\n').best
+    errors = {each.replicate.partition("/")[0]: each.contact_offset_error_mm for each in best.nuisances}
+    assert errors.pop("uniaxial_tension") > 0.0
+    assert errors == {"biaxial_tension axis 1": 0.0, "biaxial_tension axis 2": 0.0}
+    for name, value in TRUTH.items():
+        assert abs(best.parameters[name] - value) < 4.0 * best.standard_errors[name]
+
+
+@pytest.mark.parametrize(("text", "message"), [
+    ('method = "inverse_fem"\noffset = "fit"\n', r"fit\.offset: offset must be \"none\", because biaxial_tension"),
+    ('method = "inverse_fem"\n[noise]\ncontact_jitter_mm = 1.0\n', "contact_jitter_mm must be left out; got 1"),
+    ("[noise]\ncontact_jitter_mm = 1.0\n", "biaxial_tension has a motion for each axis and no contact offset")])
+def test_a_stated_contact_offset_is_refused(tmp_path, text, message):
+    write(tmp_path, "a", LAW.nominal_stress(STRETCH, TRUTH, "biaxial"), time=TIME)
+    with pytest.raises(ts.InputError, match=message):
+        calibrate(tmp_path, make_test() + FIT + text)
+
+
 def test_invalid_biaxial_recordings_are_refused(tmp_path):
     stress = LAW.nominal_stress(STRETCH, TRUTH, "biaxial")
     write(tmp_path, "a", stress * [1.0, -1.0], time=TIME)
