@@ -44,7 +44,11 @@ from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.screening import Screening
-from tissue_sim.recording.segmentation import append_numbers_to_repeated_runs, label_samples_ramp_hold_unload
+from tissue_sim.recording.segmentation import (
+    append_numbers_to_repeated_runs,
+    compute_corner_tolerance_of_force,
+    label_samples_ramp_hold_unload,
+)
 from tissue_sim.specimen.specimen import add_indefinite_article
 
 if TYPE_CHECKING:
@@ -443,7 +447,8 @@ def _make_curve_from_recording(recording: Recording, screening: Screening, name:
         if campaign.fit.method != "analytical":
             # Distinct times, if the clock is coarser than the sampling interval.
             time = spread_time_stamps(time, time.size)
-        labels = append_numbers_to_repeated_runs(label_samples_ramp_hold_unload(time, driven[samples])
+        tolerance = compute_corner_tolerance_of_force(force[samples]) if driven is force else None
+        labels = append_numbers_to_repeated_runs(label_samples_ramp_hold_unload(time, driven[samples], tolerance)
                                                  if labels is None else labels[samples])
     used = np.isin(np.arange(displacement.size), samples)
     curve = MeasuredCurve(name, test, time, displacement[samples], force[samples], labels if remembering else None,

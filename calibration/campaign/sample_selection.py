@@ -350,7 +350,7 @@ def segment_recording_from_contact(test: Test, displacement: np.ndarray, force: 
     # The order of a table of several motions without time states no loading and unloading.
     found = make_segmentation_of_one_loading(displacement.size, units) if (
         test.kind.has_several_motions and time is None and labels is None) else find_segments_of_arrays(
-        displacement, force, time, labels, units=units)
+        displacement, force, time, labels, units=units, control=test.control)
     contact, used = found.contact, np.ones(displacement.size, bool)
     notes: dict[str, str] = {}
     recorded, shift = force, 0.0

@@ -16,11 +16,13 @@ from typing import Any
 
 import numpy as np
 
-from calibration.forward.contract import ForwardTest
+from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.statistics.sensor_noise import whiten_columns
 
-#: Stiffness of a sample, relative to the median of the recording, below which the median is used: a plate in the air,
-#: where the noise of the displacement may place the first samples, has no stiffness.
+#: Depth, in standard deviations of the noise, up to which the noise may place a sample in the air.
+_AIR_DEVIATIONS = 5.0
+#: Stiffness of a sample at that depth, relative to the median of the recording, below which the median is its weight: a
+#: plate in the air has no stiffness, and the simulated force has a rounded corner at first contact.
 _LEAST_STIFFNESS = 0.05
 #: Largest change of the displacement in the Newton step, relative to the range of the displacement.
 _LARGEST_STEP = 0.1
@@ -45,7 +47,7 @@ def whiten_force_changes(test: ForwardTest, answer: Any, recording: int, columns
     if curve.force_control is not None:
         if contact is None:
             contact = test.evaluate_force_and_derivatives(answer, recording, 0.0)[2]
-        elastic, _, weight = _compute_elastic_columns_stiffness_and_weight(test, answer, recording, contact, columns)
+        elastic, _, _, weight = _compute_elastic_columns_stiffness_and_weight(test, answer, recording, contact, columns)
         columns = weight[:, None] * elastic
     return whiten_columns(columns, curve.time, curve.noise)
 
@@ -68,7 +70,7 @@ def evaluate_residual_under_force_control(test: Any, answer: Any, recording: int
         shape (n, p + 2); force with the zero, N, shape (n,).
 
     Raises:
-        InfeasibleError: see `ForwardTest.evaluate_force_and_derivatives`.
+        InfeasibleError: see `ForwardTest.evaluate_force_and_derivatives`; the median stiffness is not positive.
     """
     curve, at = test.measured[recording], test
     largest = _LARGEST_STEP * float(np.ptp(curve.displacement))
@@ -77,10 +79,10 @@ def evaluate_residual_under_force_control(test: Any, answer: Any, recording: int
         found, rates, contact = at.evaluate_force_and_derivatives(answer, recording, offset)
         forces.append(found + zero)
         columns = np.column_stack([found + zero - curve.force, rates, contact, np.ones(found.size)])
-        elastic, stiffness, weight = _compute_elastic_columns_stiffness_and_weight(at, answer, recording, contact,
-                                                                                   columns)
+        elastic, stiffness, positive, weight = _compute_elastic_columns_stiffness_and_weight(at, answer, recording,
+                                                                                             contact, columns)
         if not last:
-            step = np.clip(-elastic[:, 0] / stiffness, -largest, largest)
+            step = np.clip(-elastic[:, 0] / positive, -largest, largest)
             moved = replace(curve, displacement=curve.displacement + step)
             at = replace(test, measured=(*test.measured[:recording], moved, *test.measured[recording + 1:]))
     # Force at the measured displacement, linearised at the displacement after the step.
@@ -101,20 +103,33 @@ def compute_displacement_at_measured_force(test: ForwardTest, answer: Any, recor
         contact: derivative of the force with respect to the contact offset, N/m, shape (n,).
     """
     curve = test.measured[recording]
-    elastic, stiffness, _ = _compute_elastic_columns_stiffness_and_weight(test, answer, recording, contact,
-                                                                          (force - curve.force)[:, None])
-    return curve.displacement - elastic[:, 0] / stiffness
+    elastic, _, positive, _ = _compute_elastic_columns_stiffness_and_weight(test, answer, recording, contact,
+                                                                            (force - curve.force)[:, None])
+    return curve.displacement - elastic[:, 0] / positive
 
 
 def _compute_elastic_columns_stiffness_and_weight(test: ForwardTest, answer: Any, recording: int, contact: np.ndarray,
-                                                  columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return R^-1 `columns`, shape (n, m); the elastic stiffness k, N/m, shape (n,); and the weights, shape (n,)."""
+                                                  columns: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Return R^-1 `columns`, the elastic stiffness k, N/m, the positive stiffness of the weights, and the weights.
+
+    The columns have the shape (n, m), the others (n,). The positive stiffness equals k, but the median of k where the
+    sample is in the air or k is negative.
+
+    Raises:
+        InfeasibleError: the median stiffness is not positive.
+    """
     curve = test.measured[recording]
     noise = curve.force_control
     if noise is None:
         raise ValueError(f"{curve.name} must have the noise of both channels")
     elastic = test.remove_memory(answer, recording, np.column_stack([columns, contact]))
     stiffness = -elastic[:, -1]
-    middle = max(float(np.median(stiffness)), np.finfo(float).tiny)
-    stiffness = np.where(stiffness > _LEAST_STIFFNESS * middle, stiffness, middle)
-    return elastic[:, :-1], stiffness, curve.noise.deviation / np.hypot(noise.force, stiffness * noise.displacement)
+    nonzero = stiffness[stiffness != 0]
+    middle = float(np.median(nonzero)) if nonzero.size else 0.0
+    if not 0 < middle < np.inf:
+        raise InfeasibleError(f"{curve.name}: the stiffness of the model must be positive under force control")
+    depth = np.abs(curve.displacement) if curve.test.kind.has_gripped_ends else curve.displacement
+    is_near_air = (depth < _AIR_DEVIATIONS * noise.displacement) & (stiffness < _LEAST_STIFFNESS * middle)
+    positive = np.where((stiffness > 0) & ~is_near_air, stiffness, middle)
+    return elastic[:, :-1], stiffness, positive, curve.noise.deviation / np.hypot(noise.force,
+                                                                                   positive * noise.displacement)

@@ -15,7 +15,11 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_motion_corners
+from tissue_sim.recording.segmentation import (
+    MOTION_SETTINGS,
+    compute_corner_tolerance_of_force,
+    find_motion_corners,
+)
 from tissue_sim.rig.rig import Rig
 
 
@@ -56,7 +60,9 @@ class MotionStepSettings:
         creep_step_ratio: ratio of successive time steps while the force is held.
         smooth_degree: degree of the polynomial that smooths a segment of a displacement under force control. A larger
             value follows faster changes and more noise.
-        samples_per_degree: smallest number of samples per degree of that polynomial.
+        samples_per_degree: smallest number of samples per degree of that polynomial, except for a straight line.
+        sudden_step: duration of the loading before a recording that begins under a held force, as a fraction of the
+            first sampling interval.
     """
 
     smooth_steps: int = 8
@@ -70,6 +76,7 @@ class MotionStepSettings:
     creep_step_ratio: float = 1.3
     smooth_degree: int = 7
     samples_per_degree: int = 5
+    sudden_step: float = 0.01
 
 
 MOTION_STEPS = MotionStepSettings()
@@ -220,7 +227,8 @@ class TimedMotion:
 
         If a recording begins below the surface, its first segment is extrapolated to first contact. Under force control
         the segments are those of the force, and the displacement at the knots is that of a smooth curve through each
-        segment, because straight lines through creep with noise have many corners.
+        segment, because straight lines through creep with noise have many corners. The first segment is then
+        extrapolated to zero force; a recording that begins under a held force has a sudden step before.
 
         Args:
             time: time of the samples, s, shape (n,).
@@ -230,15 +238,21 @@ class TimedMotion:
         """
         travel = float(np.ptp(displacement))
         driven = displacement if force is None else force
-        reach = float(np.ptp(driven))
-        corners = find_motion_corners(time, driven, MOTION_SETTINGS.straightness * reach)
-        corners = np.array(_find_corners_outside_holds(driven, corners, MOTION_STEPS.hold_fraction * reach))
-        is_held = np.abs(np.diff(driven[corners])) <= MOTION_STEPS.hold_fraction * reach
+        tolerance = MOTION_SETTINGS.straightness * travel if force is None else compute_corner_tolerance_of_force(force)
+        held = max(MOTION_STEPS.hold_fraction * float(np.ptp(driven)), 2 * tolerance)
+        corners = find_motion_corners(time, driven, tolerance)
+        corners = np.array(_find_corners_outside_holds(driven, corners, held))
+        is_held = np.abs(np.diff(driven[corners])) <= held
         if force is not None:
             displacement = _smooth_displacement_between_corners(time, displacement, corners, is_held)
         t, d = time[corners].astype(float), displacement[corners].astype(float)
-        if d[0] > MOTION_SETTINGS.straightness * travel and d.size > 1 and d[1] > d[0]:
-            t, d = np.append(t[0] - d[0] * (t[1] - t[0]) / (d[1] - d[0]), t), np.append(0.0, d)
+        if d[0] > MOTION_SETTINGS.straightness * travel and d.size > 1 and (d[1] > d[0] or force is not None):
+            start, end = driven[corners[:2]].astype(float)
+            # A held force does not show the speed of the loading before it.
+            shows_speed = force is None or (start > 0 and end - start > held)
+            before = start * (t[1] - t[0]) / (end - start) if shows_speed else \
+                MOTION_STEPS.sudden_step * float(time[1] - time[0])
+            t, d = np.append(t[0] - before, t), np.append(0.0, d)
             is_held = np.append(False, is_held)
         knots_t, knots_d, legs, creeping = [t[:1]], [d[:1]], [], []
         for i in range(t.size - 1):
@@ -427,7 +441,7 @@ def _smooth_displacement_between_corners(time: np.ndarray, displacement: np.ndar
         along = (time[part] - time[first]) / (time[last] - time[first])
         if held:
             along = np.log1p(along / MOTION_STEPS.first_hold_step) / np.log1p(1.0 / MOTION_STEPS.first_hold_step)
-        degree = min(MOTION_STEPS.smooth_degree, (last - first) // MOTION_STEPS.samples_per_degree)
+        degree = min(MOTION_STEPS.smooth_degree, max((last - first) // MOTION_STEPS.samples_per_degree, 1))
         fitted = np.polynomial.Chebyshev.fit(along, displacement[part], degree, domain=[0.0, 1.0])(along)
         # The first sample of a segment is the last one of the segment before.
         smooth[part] = fitted if first == corners[0] else np.append(0.5 * (smooth[first] + fitted[0]), fitted[1:])

@@ -1,6 +1,6 @@
 """Fits of recordings whose force is controlled: the noise is in the displacement."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,11 +12,14 @@ from calibration.campaign.measured import read_measured_curves
 from calibration.fit.curves import compute_test_curves
 from calibration.fit.problem import build_generalised_problem
 from calibration.fit.trust_region import minimise_from_start
+from calibration.forward.contract import InfeasibleError
 from calibration.forward.force_control import evaluate_residual_under_force_control
+from calibration.forward.motion import TimedMotion
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.report.quantities import ReportUnits
 from calibration.report.views import get_law_trace_or_none, list_panels_of_test
 from calibration.statistics.sensor_noise import ForceControlNoise
+from tissue_sim.recording.segments import find_segments_of_arrays
 
 #: Campaigns of the short version of the study.
 CAMPAIGNS = 24
@@ -246,3 +249,110 @@ def test_import_of_a_rheometer_creep_test_with_the_set_stress(tmp_path):
     assert fit.parameters["C10"] == pytest.approx(500.0, rel=0.01)
     assert fit.parameters["viscoelastic.terms[0].g"] == pytest.approx(0.5, rel=0.02)
     assert fit.parameters["viscoelastic.terms[0].tau"] == pytest.approx(10.0, rel=0.05)
+
+
+def creep_of_a_step(time, noise):
+    """Displacement, m, of creep under a constant force from the first sample on, with noise."""
+    return 2e-3 * (1 - 0.4 * np.exp(-time / 10.0)) / 0.6 + noise * np.random.default_rng(5).normal(size=time.size)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6, 1e-3, 0.03])
+def test_the_motion_of_a_held_force_begins_with_a_sudden_step(noise):
+    """Noise of the load cell makes no corners, and the creep is not extrapolated back to first contact."""
+    time = np.linspace(0.0, 60.0, 301)
+    force = 3.0 + noise * np.random.default_rng(6).normal(size=301)
+    motion = TimedMotion.from_recording(time, creep_of_a_step(time, 1e-5), force=force)
+    assert len(motion.legs) == 2 and motion.creeping == motion.legs[1:]
+    assert motion.displacement[0] == 0.0 and -0.02 < motion.time[0] < 0.0
+    np.testing.assert_allclose(motion.interpolate_displacement(time), creep_of_a_step(time, 0.0), atol=1.5e-5)
+
+
+def test_the_motion_of_a_ramp_of_the_force_begins_at_zero_force():
+    """A ramp that is recorded from 1 N on is extrapolated to zero force, and noise of 1 % makes no corners."""
+    time = np.linspace(0.0, 4.0, 401)
+    for noise, error in ((0.0, 1e-9), (0.03, 0.1)):
+        force = 1.0 + time + noise * np.random.default_rng(7).normal(size=401)
+        motion = TimedMotion.from_recording(time, 1e-3 * np.sqrt(1.0 + time), force=force)
+        assert len(motion.legs) == 2 and motion.time[0] == pytest.approx(-1.0, abs=error)
+
+
+def test_the_motion_of_a_step_from_rest_begins_at_rest():
+    """A recording with one sample before the step keeps the displacement of this sample."""
+    time = np.append(0.0, np.linspace(0.2, 60.0, 300))
+    motion = TimedMotion.from_recording(time, np.append(0.0, creep_of_a_step(time[1:], 1e-6)),
+                                        force=np.append(0.0, np.full(300, 3.0)))
+    assert motion.time[0] == 0.0 and motion.displacement[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_constant_force_with_noise_is_one_hold(campaign_file, creep):
+    """The noise of both channels is estimated from all samples, for each of the seeds."""
+    time = np.linspace(0.0, 60.0, 301)
+    for seed in (0, 3, 4):
+        rng = np.random.default_rng(seed)
+        rng.normal(size=301)
+        recorded = ts.Recording({"time": time, "displacement": creep_of_a_step(time, 1e-5),
+                                 "force": 3.0 + 1e-3 * rng.normal(size=301)})
+        path = campaign_file({"creep": recorded}, creep.CAMPAIGN.format(control="force"))
+        curve, = read_measured_curves(load_campaign(path))["lubricated_compression"]
+        assert set(curve.segment.tolist()) == {"hold"}
+        assert curve.force_control.force == pytest.approx(1e-3, rel=0.15)
+        assert curve.force_control.displacement == pytest.approx(1e-5, rel=0.15)
+
+
+def test_segments_are_those_of_a_stated_force():
+    """A monotonic force that is no line in time, with much noise of the displacement, is one ramp."""
+    time = np.linspace(0.0, 10.0, 201)
+    force = 10.0 * (1 - np.cos(np.pi * time / 10.0))
+    displacement = 5e-3 * np.log1p(force) + 1e-4 * np.random.default_rng(8).normal(size=201)
+    found = find_segments_of_arrays(displacement, force, time)
+    stated = find_segments_of_arrays(displacement, force, time, control="force")
+    assert "unload" in found.labels
+    assert "unload" not in stated.labels and stated.cycles.max() == 1
+
+
+@dataclass(frozen=True)
+class PowerLaw:
+    """Elastic test with the force `size` d^4, N, which has a soft toe.
+
+    Attributes:
+        measured: the recording.
+        size: factor, N/m^4.
+    """
+
+    measured: tuple
+    size: float
+
+    def evaluate_force_and_derivatives(self, answer, recording, offset):
+        depth = self.measured[recording].displacement - offset
+        return self.size * depth**4, np.zeros((depth.size, 0)), -4 * self.size * depth**3
+
+    def remove_memory(self, answer, recording, columns):
+        return columns
+
+
+def power_law_test(campaign_file, creep, size):
+    """Recording of a power law of 1e9 N/m^4 under force control, with noise of the displacement of 1 um."""
+    force = np.linspace(0.0, 1.0, 301)[1:]**4
+    exact = (force / 1e9)**0.25
+    recorded = ts.Recording({"time": np.arange(300.0), "displacement": exact, "force": force})
+    curve, = read_measured_curves(load_campaign(campaign_file(
+        {"creep": recorded}, creep.CAMPAIGN.format(control="force"))))["lubricated_compression"]
+    noise = 1e-6 * np.random.default_rng(9).normal(size=300)
+    return PowerLaw((replace(curve, displacement=exact + noise, noise=replace(curve.noise, deviation=1.0),
+                             force_control=ForceControlNoise(1e-6, 1e-12)),), size), noise / 1e-6
+
+
+def test_residuals_in_a_soft_toe_are_the_noise_of_the_displacement(campaign_file, creep):
+    """The stiffness of the toe is 1e-4 of the median; the residuals beyond the noise at contact equal the noise."""
+    test, noise = power_law_test(campaign_file, creep, 1e9)
+    residual, _, _ = evaluate_residual_under_force_control(test, None, 0, 0.0, 0.0, True)
+    np.testing.assert_allclose(residual[5:], noise[5:], rtol=0.02, atol=0.02)
+
+
+@pytest.mark.parametrize("size", [0.0, -1e9])
+@pytest.mark.filterwarnings("error")
+def test_a_law_without_stiffness_is_infeasible_under_force_control(size, campaign_file, creep):
+    """A model whose force does not increase with the displacement is refused without a warning of NumPy."""
+    test, _ = power_law_test(campaign_file, creep, size)
+    with pytest.raises(InfeasibleError, match="stiffness of the model must be positive"):
+        evaluate_residual_under_force_control(test, None, 0, 0.0, 0.0, True)

@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.control import estimate_noise_deviation
 from tissue_sim.recording.measures import StrainOrStressMeasure, get_original_measures
 from tissue_sim.recording.outliers import find_outliers_of_motion_and_load, make_left_out_samples_of_outliers
 from tissue_sim.recording.recording import CHANNELS, LOADS, MIN_POINTS, MOTIONS, SECOND_MOTIONS, Recording
 from tissue_sim.recording.saturation import find_last_digit_step_or_zero, find_saturated_runs
 from tissue_sim.recording.screening import LeftOutSamples, Saturation, Screening
+from tissue_sim.recording.segmentation import estimate_noise_deviation
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,11 @@ import numpy as np
 
 from tissue_sim.recording.saturation import find_last_digit_step_or_zero
 from tissue_sim.recording.screening import SCREENING, ControlledQuantityFindings
-from tissue_sim.recording.segmentation import ReversalDetector, label_samples_ramp_hold_unload
+from tissue_sim.recording.segmentation import (
+    ReversalDetector,
+    estimate_noise_deviation,
+    label_samples_ramp_hold_unload,
+)
 
 
 @dataclass(frozen=True)
@@ -473,9 +477,3 @@ def _find_channel_linear_in_time_or_none(motion: np.ndarray, load: np.ndarray, c
     if min(bends) > _SETTINGS.straight or max(bends) < _SETTINGS.straighter * min(bends):
         return None
     return "displacement" if bends[0] < bends[1] else "force"
-
-
-def estimate_noise_deviation(values: np.ndarray) -> float:
-    """Return the standard deviation of the noise of a smooth channel, from its second differences."""
-    bend = values[1:-1] - 0.5 * (values[:-2] + values[2:])
-    return float(np.median(np.abs(bend))) / (0.6745 * np.sqrt(1.5))

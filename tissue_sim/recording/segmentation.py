@@ -25,6 +25,8 @@ class MotionSegmentationSettings:
         hold_time: least duration of a hold of a motion by hand, s. A larger value finds fewer holds.
         straightness: largest distance of the motion of a machine from its polyline, as a fraction of the travel. A
             larger value finds fewer segments.
+        noise_deviations: smallest distance of a controlled force from its polyline, in standard deviations of its
+            noise. A smaller value finds segments in the noise; a larger one finds no small steps of the force.
         hysteresis_fraction: hysteresis of a motion of unknown origin, as a fraction of the travel, if the result is
             larger than `hysteresis`.
     """
@@ -32,6 +34,7 @@ class MotionSegmentationSettings:
     hysteresis: float = 0.05e-3
     hold_time: float = 1.0
     straightness: float = 3e-3
+    noise_deviations: float = 5.0
     hysteresis_fraction: float = 0.01
 
 
@@ -87,6 +90,26 @@ class ReversalDetector:
         edges = [*self.starts, end]
         newest = len(self.starts) - 1
         return [(self.direction * (-1) ** (newest - i), edges[i], edges[i + 1]) for i in range(newest + 1)]
+
+
+def estimate_noise_deviation(values: np.ndarray) -> float:
+    """Return the standard deviation of the noise of a smooth channel, from its second differences."""
+    bend = values[1:-1] - 0.5 * (values[:-2] + values[2:])
+    return float(np.median(np.abs(bend))) / (0.6745 * np.sqrt(1.5))
+
+
+def compute_corner_tolerance_of_force(force: np.ndarray) -> float:
+    """Return the largest distance of a controlled force from its polyline, N.
+
+    The tolerance is a fraction of the range of the force, which includes the unloaded state, and at least some standard
+    deviations of the noise. A constant force with noise is therefore one hold.
+
+    Args:
+        force: force, N, shape (n,).
+    """
+    reach = max(float(force.max()), 0.0) - min(float(force.min()), 0.0)
+    noise = estimate_noise_deviation(force) if force.size > 2 else 0.0
+    return max(MOTION_SETTINGS.straightness * reach, MOTION_SETTINGS.noise_deviations * noise)
 
 
 def find_motion_corners(time: np.ndarray, displacement: np.ndarray, tolerance: float) -> np.ndarray:

@@ -19,7 +19,11 @@ from tissue_sim.recording.control import (
 from tissue_sim.recording.curve_units import FORCE_UNITS, STRESS_UNITS, UNITS_OF_LOAD, CurveUnits
 from tissue_sim.recording.failure import Failure, find_failure
 from tissue_sim.recording.recording import MOTIONS, SECOND_MOTIONS, Recording
-from tissue_sim.recording.segmentation import label_reloads_and_cycles, label_samples_ramp_hold_unload
+from tissue_sim.recording.segmentation import (
+    compute_corner_tolerance_of_force,
+    label_reloads_and_cycles,
+    label_samples_ramp_hold_unload,
+)
 
 #: Names of segments, in the order of a test.
 SEGMENTS = ("approach", "preload", "preconditioning", "ramp", "hold", "unload", "reload", "failure")
@@ -130,7 +134,8 @@ def make_segmentation_of_one_loading(size: int, units: CurveUnits) -> Segmentati
 
 
 def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None,
-                            labels: np.ndarray | None = None, *, units: CurveUnits = FORCE_UNITS) -> Segmentation:
+                            labels: np.ndarray | None = None, *, units: CurveUnits = FORCE_UNITS,
+                            control: str = "find") -> Segmentation:
     """Find the segments of arrays; see `find_segments`.
 
     Args:
@@ -139,6 +144,7 @@ def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: n
         time: time, s, shape (n,); None: even steps.
         labels: segments of the file, shape (n,); None: the segments are found.
         units: units of motion and load in messages.
+        control: controlled quantity, ``"displacement"`` or ``"force"``; ``"find"``: the signals show it.
     """
     clock = np.arange(displacement.size, dtype=float) if time is None else time
     warnings: list[str] = []
@@ -151,16 +157,20 @@ def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: n
     if contact is not None and contact.status != "before":
         warnings.append(contact.in_words(units))
     stated = labels is not None
+    if control == "find" and ordered and time is not None and not stated:
+        found = detect_controlled_quantity_and_creep(displacement, force, time).quantity
+        control = "displacement" if found is None else found
+    driven, tolerance = displacement, None
+    if control == "force" and time is not None:
+        driven, tolerance = force, compute_corner_tolerance_of_force(force)
     if labels is not None:
         labels = np.char.lower(np.asarray(labels).astype(str))
-        cycles = label_reloads_and_cycles(label_samples_ramp_hold_unload(clock, displacement))[1]
+        cycles = label_reloads_and_cycles(label_samples_ramp_hold_unload(clock, driven, tolerance))[1]
     elif not ordered:
         labels, cycles = np.full(displacement.size, "ramp"), np.ones(displacement.size, int)
     else:
-        control = None if time is None else detect_controlled_quantity_and_creep(displacement, force, time)
-        driven = force if control is not None and control.quantity == "force" else displacement
         # Without a time a hold is at least three samples: two near samples occur in each digitised curve.
-        labels = label_samples_ramp_hold_unload(clock, driven, shortest_hold=2.0 if time is None else 0.0)
+        labels = label_samples_ramp_hold_unload(clock, driven, tolerance, shortest_hold=2.0 if time is None else 0.0)
         for first, last in find_creep_intervals(displacement, force, time):
             labels[first:last] = "hold"
         labels, cycles = label_reloads_and_cycles(labels)
