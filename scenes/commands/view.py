@@ -15,6 +15,7 @@ from scenes.commands.shared.experiment_flags import (
     add_reduced_flag,
     add_resolution_and_solver_flags,
     add_scene_and_optional_material_flag,
+    get_tool_speed,
     load_reduced_model_and_set_flags,
     load_scene_material,
     make_model_from_flags,
@@ -118,7 +119,7 @@ def _run(arguments: Namespace) -> CommandResult | int:
         options["device"] = make_haptic_device(arguments.device)
     if arguments.headless:
         answer = run_headless_and_return_results(scene, arguments.seconds, protocol=arguments.protocol,
-                                                 speed=arguments.speed_mm_s * 1e-3, **options)
+                                                 speed=get_tool_speed(arguments), **options)
         return CommandResult(lambda: answer, lambda _: _print_headless_summary(answer),
                              ExitCode.DONE if answer["phase"] != "stopped" else ExitCode.GOAL_MISSED)
     folder = arguments.materials or (arguments.material.parent if arguments.material else Path())

@@ -418,6 +418,12 @@ class TestGrips:
          "rig: must be ideal for angle and torque"),
         (["simulate", "uniaxial_tension", "--friction", "0.3"], "--friction: does not apply to uniaxial_tension"),
         (["simulate", "uniaxial_tension", "--gravity"], "--gravity: does not apply to uniaxial_tension"),
+        (["simulate", "uniaxial_tension", "--density-kg-m3", "9"], "--density-kg-m3: does not apply to uniaxial"),
+        (["simulate", "uniaxial_tension", "--height-is", "placed"], "--height-is: does not apply to uniaxial_tension"),
+        (["simulate", "torsion", "--solid", "--protocol", "ramp 9deg @1deg/s", "--speed-mm-s", "2"],
+         "--speed-mm-s: does not apply to a protocol of angles. State the angular speed in --protocol"),
+        (["simulate", "torsion", "--solid", "--protocol", "ramp 0.1rad"],
+         "needs an angular speed, such as ramp 30deg @1deg/s; for example 'ramp 30deg @1deg/s; hold 60s; unload'"),
         (["simulate", "planar_tension", "--solid"], "specimen: must be a block in planar tension; got"),
         (["simulate", "equibiaxial_tension"], "equibiaxial_tension has no tool and is not simulated; use its closed"),
         (["view", "uniaxial_tension"], "SCENE: must be a test with a tool in this command; the specimen of "

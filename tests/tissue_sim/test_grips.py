@@ -128,7 +128,11 @@ class TestSolid:
 
 @pytest.mark.parametrize(("kind", "specimen", "protocol", "message"), [
     ("torsion", CYLINDER, ts.Protocol.ramp(0.001), r"protocol: must prescribe the motion of the grip; got lengths"),
+    ("torsion", CYLINDER, ts.Protocol.parse("ramp 1N @1N/s"),
+     r"protocol: must prescribe the motion of the grip; got forces, and a torque cannot be prescribed\. State an"),
     ("uniaxial_tension", CYLINDER, ts.Protocol.parse(TURN), r"protocol: must prescribe the motion of the grip; got a"),
+    ("uniaxial_tension", CYLINDER, ts.Protocol.parse("approach 2mm; ramp 4mm"),
+     r"protocol: must not approach the specimen, which the grips hold from the start; got an approach\. Start with a"),
     ("lubricated_compression", CYLINDER, ts.Protocol.parse(TURN), r"protocol: must prescribe displacements or forces"),
     ("torsion", CUBE, ts.Protocol.parse(TURN), r"specimen: must be a cylinder in torsion; got"),
     ("planar_tension", CYLINDER, ts.Protocol.ramp(0.001), r"specimen: must be a block in planar tension; got"),

@@ -226,7 +226,7 @@ class Experiment:
 
         Raises:
             InputError: plates that are not bonded, a specimen that is not a prism, self-weight, a tilted face, slip, a
-                protocol of another quantity, or grips that meet.
+                protocol of another quantity, an approach, or grips that meet.
         """
         if not (self.tool.is_plate and self.friction == self.resolved_base_interface == "bonded"):
             raise InputError(f"both grips must be plates with bonded contact; got a {self.tool.shape} with "
@@ -240,9 +240,13 @@ class Experiment:
             if value:
                 raise InputError(f"must be 0 for a gripped specimen; got {value:g}. Remove {name}", field=name)
         if self.protocol.prescribes_angle != grip.is_rotation:
-            found, remedy = ("lengths or forces", "an angle, such as ramp 30deg @1deg/s") if grip.is_rotation else (
-                "angles", "a length, such as ramp 10mm")
+            found, remedy = ("angles", "a length, such as ramp 10mm") if not grip.is_rotation else (
+                "forces, and a torque cannot be prescribed" if self.protocol.uses_force_control else "lengths",
+                "an angle, such as ramp 30deg @1deg/s")
             raise InputError(f"must prescribe the motion of the grip; got {found}. State {remedy}", field="protocol")
+        if self.protocol.segment is not None and "approach" in self.protocol.segment:
+            raise InputError("must not approach the specimen, which the grips hold from the start; got an approach. "
+                             "Start with a ramp; a retract reverses the motion of the grip", field="protocol")
         closest = float(np.nanmin(np.append(grip.axis[2] * self.protocol.displacement, np.inf)))
         if not grip.is_rotation and closest <= -self.specimen.height:
             raise InputError(f"must be above {-self.specimen.height * 1e3:g} mm, where the grips meet; got "

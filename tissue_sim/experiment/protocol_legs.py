@@ -8,7 +8,9 @@ from dataclasses import dataclass, field, replace
 
 from tissue_sim.experiment.protocol_text import (
     ANGLE,
+    ANGLE_EXAMPLE,
     DISPLACEMENT,
+    EXAMPLE,
     FORCE,
     Control,
     ProtocolRepeat,
@@ -150,7 +152,8 @@ def make_leg_or_none(segment: ProtocolSegment, state: LoadingState) -> tuple[Mot
     else:
         quantity, rate = ("an angle", "an angular speed, such as ramp 30deg @1deg/s") if control == ANGLE else (
             "a force", "a loading rate, such as ramp 2N @0.5N/s")
-        raise make_protocol_error(segment.position, f"the first {segment.kind} that prescribes {quantity} needs {rate}")
+        raise make_protocol_error(segment.position, f"the first {segment.kind} that prescribes {quantity} needs {rate}",
+                                  ANGLE_EXAMPLE if control == ANGLE else EXAMPLE)
     highest = max(largest, end + amplitude)
     known, most = {control: end}, {control: highest}
     if control == DISPLACEMENT and here <= end <= 0.0 and highest <= 0.0 and FORCE in state.here:

@@ -34,6 +34,8 @@ FORCE: Final = "force"
 ANGLE: Final = "angle"
 #: Example for messages.
 EXAMPLE = "ramp 10mm @0.248mm/s; hold 60s; unload"
+#: Example for messages about protocols of angles.
+ANGLE_EXAMPLE = "ramp 30deg @1deg/s; hold 60s; unload"
 
 __getattr__ = make_getattr_for_old_names(__name__, {"write_protocol": "format_protocol"})
 
@@ -91,10 +93,10 @@ class ProtocolRepeat:
     segments: tuple[ProtocolSegment, ...]
 
 
-def make_protocol_error(position: str, problem: str) -> InputError:
+def make_protocol_error(position: str, problem: str, example: str = EXAMPLE) -> InputError:
     """Return the error of a protocol with position, problem and an example; the caller raises it."""
-    example = f"{' For' if problem.endswith('?') else '; for'} example {EXAMPLE!r}"
-    return InputError(f"{position + ': ' if position else ''}{problem}{example}", field="protocol")
+    remedy = f"{' For' if problem.endswith('?') else '; for'} example {example!r}"
+    return InputError(f"{position + ': ' if position else ''}{problem}{remedy}", field="protocol")
 
 
 #: Unit -> factor to m.

@@ -44,11 +44,13 @@ class RampDepthAndPointDefaults:
         max_points: largest value of ``--points``; larger protocols would exhaust the memory.
         depth_mm: depth of the ramp without ``--depth-mm`` and ``--protocol``, mm.
         points: default of ``--points``.
+        speed_mm_s: default of ``--speed-mm-s``, mm/s.
     """
 
     max_points: int = 100_000
     depth_mm: float = 10.0
     points: int = 21
+    speed_mm_s: float = 0.248
 
 
 #: Defaults of all commands with these flags.
@@ -56,7 +58,8 @@ MOTION_FLAGS = RampDepthAndPointDefaults()
 #: Flags of tool and interfaces without default, besides the sizes of the tool.
 TOOL_FLAGS = ("tool", "friction", "friction_base", "friction_wall", "offset_mm", "tilt_deg")
 #: Other flags that have no meaning between grips.
-_CONTACT_FLAGS = ("adhesion_N", "adhesion_length_mm", "contact_law", "tilt_mm", "slip", "gravity")
+_CONTACT_FLAGS = ("adhesion_N", "adhesion_length_mm", "contact_law", "tilt_mm", "slip", "gravity", "density_kg_m3",
+                  "height_is")
 #: Flags of the specimen without default, besides its sizes.
 SPECIMEN_FLAGS = ("shape", "mesh", "mesh_unit", "mesh_base", "mesh_top", "gravity")
 #: Sizes of the cylinder without flags: the silicone specimen of the reference study.
@@ -136,8 +139,9 @@ def _add_motion_flags(parser: InputErrorArgumentParser) -> None:
                         default=MOTION_FLAGS.points,
                         help="number of samples of the ramp, or of each moving segment, its first one included "
                         "(default: 21)")
-    motion.add_argument("--speed-mm-s", type=parse_positive_number, metavar="N", default=0.248,
-                        help="speed of the tool where the protocol states none (default: 0.248)")
+    motion.add_argument("--speed-mm-s", type=parse_positive_number, metavar="N",
+                        help="speed of the tool where the protocol states none (default: "
+                        f"{MOTION_FLAGS.speed_mm_s:g})")
 
 
 def _add_specimen_mesh_and_weight_flags(parser: InputErrorArgumentParser, needs: str) -> None:
@@ -235,6 +239,11 @@ def require_known_scene(name: str, *, allows_grips: bool = False) -> None:
     raise InputError(f"unknown scene {name!r}{make_hint_with_similar_or_known_words(name, known)}")
 
 
+def get_tool_speed(arguments) -> float:
+    """Return the speed of the tool where the protocol states none, m/s: that of ``--speed-mm-s``, or its default."""
+    return (arguments.speed_mm_s or MOTION_FLAGS.speed_mm_s) * 1e-3
+
+
 def make_protocol_from_flags(arguments, *, allows_force: bool = False) -> Protocol:
     """Return the protocol: the ramp of ``--depth-mm`` or the segments of ``--protocol``.
 
@@ -243,17 +252,21 @@ def make_protocol_from_flags(arguments, *, allows_force: bool = False) -> Protoc
         allows_force: whether the command accepts a prescribed force.
 
     Raises:
-        InputError: both flags are given, the protocol is invalid, or it prescribes a force.
+        InputError: both flags are given, the protocol is invalid, or it prescribes a force; or a speed in mm/s is given
+            for a protocol of angles.
     """
     from tissue_sim import Protocol
 
-    speed = arguments.speed_mm_s * 1e-3
+    speed = get_tool_speed(arguments)
     if arguments.protocol is None:
         return Protocol.ramp((arguments.depth_mm or MOTION_FLAGS.depth_mm) * 1e-3, arguments.points, speed)
     if arguments.depth_mm is not None:
         raise InputError("cannot be combined with --protocol, which states its own depths. Leave one of them out",
                          field="--depth-mm")
     protocol = Protocol.parse(arguments.protocol, arguments.points, speed)
+    if protocol.prescribes_angle and arguments.speed_mm_s is not None:
+        raise InputError("does not apply to a protocol of angles. State the angular speed in --protocol, such as 'ramp "
+                         "30deg @1deg/s'", field="--speed-mm-s")
     if not allows_force:
         protocol.require_displacement_control("this command", "--protocol")
     return protocol
