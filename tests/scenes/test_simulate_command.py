@@ -8,6 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes.cli import main
+from scenes.commands.material.summary import list_warnings_if_test_leaves_range
 from scenes.field_labels import LABELS
 from tissue_sim.errors import ConvergenceError
 
@@ -180,6 +181,30 @@ def test_leaving_the_valid_and_stable_range_gives_warnings(tmp_path, capsys):
     main(["simulate", "lubricated_compression", "--material", str(tmp_path / "m.material.json"), "--depth-mm", "28"])
     err = capsys.readouterr().err
     assert "fitted to stretches from 0.9 to 1 only" in err and "unstable within the mean stretches" in err
+
+
+@pytest.mark.parametrize(("kind", "text", "low", "high"), [
+    ("uniaxial_tension", "ramp 1mm; retract 4mm", 0.8, 1.05), ("simple_shear", "ramp 1mm; retract 4mm", 0.905, 1.105),
+    ("bonded_compression", "ramp 1mm; retract 4mm", 0.95, 1.2),
+    ("friction_compression", "ramp 1mm; retract 4mm", 0.95, 1.0),
+    ("bonded_compression", "approach 4mm; ramp 1mm", 0.95, 1.0)])
+def test_both_directions_of_a_motion_are_compared_with_the_valid_range(kind, text, low, high):
+    """The stretches of a mean deformation: 1 + d/h in tension; of shear by 0.2 sqrt(1.01) -+ 0.1."""
+    material = ts.Material("neo_hooke", {"C10": 1e3}, ts.Bulk("bulk_ratio", 1e3))
+    protocol = ts.Protocol.parse(text, points=3)
+    needed = {"friction": 0.5} if kind == "friction_compression" else {}
+    experiment = ts.KINDS[kind].experiment(specimen=ts.Block(0.02, 0.02, 0.02), protocol=protocol, **needed)
+    recording = ts.Recording({"displacement": protocol.displacement, "force": 0.0 * protocol.displacement})
+
+    def warn(*valid):
+        file = ts.MaterialFile.of(material, valid_range={"stretch": valid})
+        return list_warnings_if_test_leaves_range(file, recording, experiment)
+
+    assert warn(low, high) == []
+    if low < 1.0:
+        assert f"stretches of the tissue are {low:.3g} to {high:.3g}, but" in warn(low + 0.02, high)[0]
+    if high > 1.0:
+        assert f"stretches of the tissue are {low:.3g} to {high:.3g}, but" in warn(low, high - 0.02)[0]
 
 
 def test_confined_compression_compares_isochoric_stretches(tmp_path, capsys):

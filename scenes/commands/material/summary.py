@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -91,6 +92,12 @@ def _compute_mean_stretches(experiment: Experiment, motion: float) -> tuple[floa
     return mean - 0.5 * gamma, mean + 0.5 * gamma
 
 
+def _merge_ranges(ranges: Iterable[tuple[float, float]]) -> tuple[float, float]:
+    """Return the smallest range that contains all ranges."""
+    lows, highs = zip(*ranges, strict=True)
+    return min(lows), max(highs)
+
+
 def list_warnings_if_test_leaves_range(material_file: MaterialFile, recording: Recording,
                                        experiment: Experiment) -> list[str]:
     """Return warnings about a simulated test in which the material leaves its valid range or its stable range.
@@ -105,15 +112,20 @@ def list_warnings_if_test_leaves_range(material_file: MaterialFile, recording: R
     """
     sentences = []
     motion = recording.channel(experiment.channels[0])
-    deepest = int(np.argmax(motion))
-    mean = _compute_mean_stretches(experiment, float(motion[deepest]))
+    if experiment.grip is None:
+        # Above the touch only a bonded tool that has touched before stretches the specimen.
+        is_loaded = np.logical_or.accumulate(motion >= 0.0) if experiment.friction == "bonded" else motion >= 0.0
+        motion = np.where(is_loaded, motion, 0.0)
+    extremes = [int(np.argmin(motion)), int(np.argmax(motion))]
+    mean = _merge_ranges(_compute_mean_stretches(experiment, float(motion[sample])) for sample in extremes)
     # A calibration derives its valid range from the same local stretches. Under a needle they differ much from the
     # mean stretch of the specimen.
     if experiment.has_lateral_wall:
         # The volume changes; the law and its valid range refer to isochoric stretches.
-        mean = lowest, highest = CONFINED.find_extreme_stretches(mean[0], 1.0)
+        mean = lowest, highest = CONFINED.find_extreme_stretches(*mean)
     else:
-        lowest, highest = mean if recording.fields is None else recording.fields.stretch_range(deepest)
+        fields = recording.fields
+        lowest, highest = mean if fields is None else _merge_ranges(fields.stretch_range(each) for each in extremes)
     if material_file.valid_range is not None and material_file.valid_range.stretch is not None:
         low, high = material_file.valid_range.stretch
         if lowest < low - RANGE_TOLERANCE or highest > high + RANGE_TOLERANCE:
