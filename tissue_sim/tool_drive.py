@@ -38,6 +38,8 @@ class ToolSearchSettings:
         expansion: largest ratio of the change of the displacement to the change before it, while no trial is beyond the
             solution.
         deepest: largest displacement of a trial in force control, over the thickness of the specimen, 1.
+        longest: largest displacement of a grip in a trial in force control, over the height of the specimen, 1.
+            Tough hydrogels reach stretches of about 20 (Sun et al., Nature 489, 2012, 133).
         smallest_increment: smallest increment of the force, over its change from sample to sample, 1.
         sufficient_decrease: largest ratio of a residual to the one before; above this ratio the bracket is bisected.
     """
@@ -51,6 +53,7 @@ class ToolSearchSettings:
     first_step: float = 1e-3
     expansion: float = 3.0
     deepest: float = 0.95
+    longest: float = 25.0
     smallest_increment: float = 2.0**-5
     sufficient_decrease: float = 0.5
 
@@ -443,11 +446,14 @@ class ToolDrive:
         least = TOOL_SEARCH.first_step * thickness
         limit = max(least, TOOL_SEARCH.expansion * abs(last.change))
         change = missing / predicted if predicted else math.copysign(least, missing) if missing else 0.0
-        # Grips may move apart without limit.
-        highest = math.inf if self._experiment.grip is not None else min(
-            TOOL_SEARCH.deepest * thickness, self._experiment.largest_accurate_depth)
+        grip, lowest = self._experiment.grip, -thickness
+        highest = TOOL_SEARCH.longest * thickness
+        if grip is None:
+            highest = min(TOOL_SEARCH.deepest * thickness, self._experiment.largest_accurate_depth)
+        elif not grip.axis[2]:
+            lowest = -highest
         return SafeguardedSecant(last.depth + min(max(change, -limit), limit), slope or None, least_slope=0.0,
-                                 first_step=least, lowest=-thickness, highest=highest)
+                                 first_step=least, lowest=lowest, highest=highest)
 
     def _make_pose(self, travel: float) -> Pose:
         return self._solver.project_pose(self._experiment.tool_pose(travel))

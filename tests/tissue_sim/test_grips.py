@@ -88,6 +88,14 @@ class TestAxisymmetricTension:
         assert found.force[1] == pytest.approx(-pushed.force[1], rel=1e-3) and found.force[2] > 0
 
 
+    def test_a_force_beyond_all_stretches_of_soft_matter_is_not_reached(self):
+        protocol = ts.Protocol([0.0, 1.0, 2.0], force=[0.0, 0.1, 500.0])
+        with pytest.raises(ts.ConvergenceError, match=r"force of 500 N \(sample 3\), no displacement of the tool gives "
+                                                      r"this force; at 500 mm the force is") as error:
+            simulate("uniaxial_tension", CYLINDER, protocol, estimate_error=False)
+        np.testing.assert_allclose(error.value.recording.force, [0.0, 0.1], atol=2e-9)
+
+
 class TestSolid:
     def test_simple_shear_of_a_flat_block(self):
         """The free ends of the block carry less shear stress than the closed form: F < tau A, within h / L."""
