@@ -3,10 +3,10 @@
     python -m benchmarks biaxial [--json] [--campaigns N] [--method NAME] [--seed N]
 
 Each campaign has eight sheets of a Mooney-Rivlin material under the same motion of both axes, with white noise of both
-forces. The analytical method fits recordings without other errors. The inverse method fits recordings whose
-displacements also have contact offsets, and whose forces have zeros, which differ between the sheets and the axes; it
-estimates their scatter. The forces are those of the formulas P1 = 2 (l1 - l1^-3 l2^-2) (C10 + C01 l2^2), and the same
-with both stretches exchanged (Rivlin and Saunders, Phil. Trans. R. Soc. A 243 (1951) 251), written here.
+forces. The analytical method fits recordings without other errors. The inverse method fits recordings whose forces
+also have zeros, which differ between the sheets and the axes; it estimates their scatter. The forces are those of the
+formulas P1 = 2 (l1 - l1^-3 l2^-2) (C10 + C01 l2^2), and the same with both stretches exchanged (Rivlin and Saunders,
+Phil. Trans. R. Soc. A 243 (1951) 251), written here.
 """
 
 import tempfile
@@ -33,17 +33,15 @@ SAMPLES = 41
 #: Recordings of a campaign.
 REPLICATES = 8
 #: Noise of a force as a fraction of its largest value, 1.
-NOISE = 0.01
-#: Scatter of the contact offsets of an axis as a fraction of its side, 1.
-CONTACT = 0.003
+RELATIVE_FORCE_NOISE = 0.01
 #: Scatter of the zeros of a force as a fraction of its largest value, 1.
-ZERO = 0.005
+RELATIVE_ZERO_SCATTER = 0.005
 #: Smallest accepted coverage.
-LEAST = 0.92
+MIN_COVERAGE = 0.92
 #: Largest accepted coverage.
-MOST = 0.98
+MAX_COVERAGE = 0.98
 #: Smallest number of campaigns that is compared with the limits.
-FEWEST = 200
+MIN_CAMPAIGNS = 200
 #: Methods of the fit.
 METHODS = ("analytical", "inverse_fem")
 
@@ -54,16 +52,16 @@ def compute_stresses(stretch: np.ndarray) -> np.ndarray:
     return 2.0 * (own - own**-3 * other**-2) * (TRUTH["C10"] + TRUTH["C01"] * other**2)
 
 
-def write_recordings(folder: Path, rng: np.random.Generator, *, has_offsets: bool) -> None:
+def write_recordings(folder: Path, rng: np.random.Generator, *, has_zeros: bool) -> None:
     """Write the recordings of one campaign."""
     ramp = np.linspace(0.0, 1.0, SAMPLES)
     strain = ramp[:, None] * LARGEST_STRAIN
     areas = SIDES[::-1] * THICKNESS
     largest = compute_stresses(1.0 + LARGEST_STRAIN[None, :])[0] * areas
     for number in range(REPLICATES):
-        offset, zero = (rng.normal(0.0, scatter, 2) if has_offsets else np.zeros(2) for scatter in (CONTACT, ZERO))
-        force = compute_stresses(1.0 + strain - offset) * areas
-        force += largest * (zero + rng.normal(0.0, NOISE, force.shape))
+        zero = rng.normal(0.0, RELATIVE_ZERO_SCATTER, 2) if has_zeros else np.zeros(2)
+        force = compute_stresses(1.0 + strain) * areas
+        force += largest * (zero + rng.normal(0.0, RELATIVE_FORCE_NOISE, force.shape))
         channels = {"time": 10.0 * ramp, "displacement": strain[:, 0] * SIDES[0], "force": force[:, 0],
                     "displacement 2": strain[:, 1] * SIDES[1], "force 2": force[:, 1]}
         ts.write_recording(ts.Recording(channels), folder / f"sheet_{number}.csv")
@@ -73,7 +71,7 @@ def run_campaign(method: str, number: int, seed: int) -> dict:
     """Fit one virtual campaign; return status, and estimate and interval of each parameter, Pa."""
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write_recordings(folder, np.random.default_rng([seed, number]), has_offsets=method == "inverse_fem")
+        write_recordings(folder, np.random.default_rng([seed, number]), has_zeros=method == "inverse_fem")
         (folder / "study.toml").write_text("\n".join((
             "[[specimen]]", 'shape = "block"', f"height_mm = {1e3 * SIDES[0]:g}", f"length_mm = {1e3 * SIDES[1]:g}",
             f"width_mm = {1e3 * THICKNESS:g}", "[[test]]", 'kind = "biaxial_tension"', 'recordings = ["sheet_*.csv"]',
@@ -96,7 +94,7 @@ def summarise(method: str, runs: Sequence[dict]) -> dict:
             "mean_error": float(estimates.mean() / truth - 1.0),
             "scatter": float(estimates.std(ddof=min(1, len(runs) - 1)) / truth),
             "half_width": float(0.5 * np.mean(widths) / truth) if widths else float("nan"),
-            "is_met": LEAST <= coverage <= MOST}
+            "is_met": MIN_COVERAGE <= coverage <= MAX_COVERAGE}
     statuses = [run["status"] for run in runs]
     return {"method": method, "campaigns": len(runs), "parameters": parameters,
             "statuses": {status: statuses.count(status) for status in dict.fromkeys(statuses)}}
@@ -111,13 +109,14 @@ def draw(result: dict, console: Console) -> None:
             for each in result["methods"] for name, one in each["parameters"].items()]
     table(console, "Coverage of 95 % intervals of biaxial tension, %",
           ("method", "parameter", "campaigns", "coverage", "half width", "mean error", "scatter", "status"), rows)
-    console.print(verdict(result["is_met"], f"coverage {100 * LEAST:g} to {100 * MOST:g} %"))
+    console.print(verdict(result["is_met"], f"coverage {100 * MIN_COVERAGE:g} to {100 * MAX_COVERAGE:g} %"))
 
 
 def main() -> int:
     """Run the benchmark; return 0 if all limits are met, or with too few campaigns for a limit."""
     parser = option_parser(__doc__)
-    parser.add_argument("--campaigns", type=int, default=FEWEST, metavar="N", help="campaigns (default %(default)s)")
+    parser.add_argument("--campaigns", type=int, default=MIN_CAMPAIGNS, metavar="N",
+                        help="campaigns (default %(default)s)")
     parser.add_argument("--method", choices=METHODS, action="append", help="method of the fit (default: both)")
     parser.add_argument("--seed", type=int, default=1, metavar="N", help="seed of the noise (default %(default)s)")
     arguments = parser.parse_args()
@@ -127,4 +126,4 @@ def main() -> int:
              for method in arguments.method or METHODS]
     is_met = all(one["is_met"] for each in found for one in each["parameters"].values())
     show({**about("biaxial"), "methods": found, "is_met": is_met}, draw, as_json=arguments.json)
-    return 0 if is_met or arguments.campaigns < FEWEST else 1
+    return 0 if is_met or arguments.campaigns < MIN_CAMPAIGNS else 1

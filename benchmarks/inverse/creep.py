@@ -1,12 +1,12 @@
 """Coverage of the 95 % intervals of creep tests under force control, in virtual campaigns with known parameters.
 
-    python -m benchmarks creep [--json] [--campaigns N] [--seed N] [--noise-um X] [--whiten force]
+    python -m benchmarks creep [--json] [--campaigns N] [--seed N] [--noise-um X] [--control displacement]
 
 Each campaign: one lubricated compression of a neo-Hookean specimen with one Prony term, `ramp 3N @1.5N/s; hold 60s`,
 341 samples. The finite elements solve the test in force control. The displacement has white noise of 5 um and the
-load cell of 1 mN; both are estimated from the recording. Fitted: C10, g_1 and tau_1. ``--whiten force`` states that the
-displacement is controlled, so that the residuals of the force at the measured displacement are fitted as if they were
-independent.
+load cell of 1 mN; both are estimated from the recording. Fitted: C10, g_1 and tau_1. ``--control displacement``
+states that the displacement is controlled, so that the residuals of the force at the measured displacement are fitted
+as if they were independent.
 """
 
 import argparse
@@ -30,17 +30,17 @@ LAW = "neo_hooke"
 #: True parameters, Pa, 1 and s.
 TRUTH = {"C10": 5000.0, "viscoelastic.terms[0].g": 0.3, "viscoelastic.terms[0].tau": 8.0}
 #: Radius and height of the specimen, m.
-SIZE = 0.02
+RADIUS_AND_HEIGHT = 0.02
 #: Standard deviation of the displacement, m.
-NOISE = 5e-6
+DISPLACEMENT_NOISE = 5e-6
 #: Standard deviation of the load cell, N.
 FORCE_NOISE = 1e-3
 #: Smallest accepted coverage of the 95 % intervals.
-LEAST = 0.92
+MIN_COVERAGE = 0.92
 #: Largest accepted coverage.
-MOST = 0.98
-#: Fewest campaigns for a judgement.
-FEWEST = 200
+MAX_COVERAGE = 0.98
+#: Smallest number of campaigns that is compared with the limits.
+MIN_CAMPAIGNS = 200
 #: Campaign of one recording; {control} is the controlled quantity.
 CAMPAIGN = """
 [[specimen]]
@@ -63,13 +63,13 @@ def simulate_creep() -> ts.Recording:
     """Simulate the test in force control by finite elements on one element, without noise."""
     protocol = ts.Protocol(np.concatenate([np.linspace(0.0, 2.0, 41), np.linspace(2.1, 60.0, 300)]),
                            force=np.concatenate([np.linspace(0.0, 3.0, 41), np.full(300, 3.0)]))
-    experiment = ts.KINDS["lubricated_compression"].experiment(specimen=ts.Specimen(SIZE, SIZE), protocol=protocol)
+    experiment = ts.KINDS["lubricated_compression"].experiment(specimen=ts.Specimen(RADIUS_AND_HEIGHT, RADIUS_AND_HEIGHT), protocol=protocol)
     series = ts.Prony((ts.PronyTerm(TRUTH["viscoelastic.terms[0].g"], TRUTH["viscoelastic.terms[0].tau"]),))
     material = ts.Material(LAW, {"C10": TRUTH["C10"]}, ts.Bulk("bulk_ratio", 1e5), viscoelastic=series)
     return ts.simulate(ts.Model(experiment, material), estimate_error=False)
 
 
-def run_campaign(true: ts.Recording, number: int, seed: int, noise: float = NOISE,
+def run_campaign(true: ts.Recording, number: int, seed: int, noise: float = DISPLACEMENT_NOISE,
                  control: str = "force") -> dict[str, np.ndarray]:
     """Fit one campaign.
 
@@ -119,22 +119,21 @@ def draw(result: dict, console) -> None:
              f"{each['error_percent']:.3f} %"] for name, each in result["parameters"].items()]
     table(console, f"creep: {result['campaigns']} campaigns, {result['seconds']:.0f} s",
           ["parameter", "coverage of 95 %", "mean error / SE", "scatter / SE", "mean SE"], rows)
-    if result["campaigns"] >= FEWEST:
-        covered = all(LEAST <= each["coverage"] <= MOST for each in result["parameters"].values())
-        console.print(verdict(covered, f"coverage {LEAST} to {MOST}:"))
+    if result["campaigns"] >= MIN_CAMPAIGNS:
+        covered = all(MIN_COVERAGE <= each["coverage"] <= MAX_COVERAGE for each in result["parameters"].values())
+        console.print(verdict(covered, f"coverage {MIN_COVERAGE} to {MAX_COVERAGE}:"))
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", action="store_true")
-    parser.add_argument("--campaigns", type=int, default=FEWEST, metavar="N")
+    parser.add_argument("--campaigns", type=int, default=MIN_CAMPAIGNS, metavar="N")
     parser.add_argument("--seed", type=int, default=1, metavar="N")
-    parser.add_argument("--noise-um", type=float, default=1e6 * NOISE, metavar="X")
-    parser.add_argument("--whiten", choices=("displacement", "force"), default="displacement")
+    parser.add_argument("--noise-um", type=float, default=1e6 * DISPLACEMENT_NOISE, metavar="X")
+    parser.add_argument("--control", choices=("force", "displacement"), default="force")
     arguments = parser.parse_args()
     began, true = time.perf_counter(), simulate_creep()
-    control = "force" if arguments.whiten == "displacement" else "displacement"
-    found = [run_campaign(true, number, arguments.seed, 1e-6 * arguments.noise_um, control)
+    found = [run_campaign(true, number, arguments.seed, 1e-6 * arguments.noise_um, arguments.control)
              for number in range(arguments.campaigns)]
     result = about("creep") | {"campaigns": arguments.campaigns, "seed": arguments.seed,
                                "seconds": time.perf_counter() - began, "parameters": judge(found)}

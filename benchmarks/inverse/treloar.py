@@ -45,8 +45,8 @@ MAX_DIFFERENCE = 0.01
 MAX_REPORTED_RATIO = 1.5
 #: Relative difference of the parameters of two minima from which on they are different, 1.
 SAME_MINIMUM = 0.01
-#: Starts of the peer in a fit of biaxial tests.
-PEER_STARTS = 20
+#: Number of starts of SciPy's reference fit of biaxial tests.
+REFERENCE_STARTS = 20
 #: Pa in 1 MPa.
 MPA = 1e6
 
@@ -196,7 +196,7 @@ def find_smallest_sum_of_squares(law: str, parameters: dict[str, float], points:
         gap = (each.nominal_stress(points[:, :2], values * start, "biaxial") - points[:, 2:]).ravel() / MPA
         return np.nan_to_num(gap, nan=1e6, posinf=1e6, neginf=-1e6)
 
-    starts = [np.ones(start.size), *(rng.normal(1.0, 1.0, start.size) for _ in range(PEER_STARTS - 1))]
+    starts = [np.ones(start.size), *(rng.normal(1.0, 1.0, start.size) for _ in range(REFERENCE_STARTS - 1))]
     return min(2.0 * float(least_squares(compute_residual, one, method="lm").cost) for one in starts)
 
 

@@ -91,7 +91,7 @@ class Test:
             for each load.
         modulus: modulus of a table of storage and loss modulus that the test compares with the model; empty: the
             recordings have a motion.
-        pre_strain: stretch or shear strain about which the specimen oscillates in a table of moduli.
+        modulus_abscissa: stretch or shear strain about which the specimen oscillates in a table of moduli.
         protocol: motion of a planned test without recordings, as text.
         solver: name of the solver that simulates the test.
         leave_out: name of a recording -> numbers of the samples to leave out, counted from 1; the name ``""`` means
@@ -116,7 +116,7 @@ class Test:
     control: Literal["find", "displacement", "force"] = "find"
     table_name: str = ""
     modulus: str = ""
-    pre_strain: float = 0.0
+    modulus_abscissa: float = 0.0
 
     @property
     def readout(self) -> ModulusReadout | None:
@@ -339,7 +339,7 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], root: P
         if moduli:
             strain = convert_pre_strain_to_abscissa(entry, kind, field)
             del tests[name]
-            tests |= {f"{name} {each}": replace(first, name=f"{name} {each}", modulus=each, pre_strain=strain)
+            tests |= {f"{name} {each}": replace(first, name=f"{name} {each}", modulus=each, modulus_abscissa=strain)
                       for each in moduli}
         if kind.load_count > 1 and entry.contact != "recorded":
             raise InputError(f"contact must be 'recorded' in {entry.kind}, which has several loads; got "

@@ -66,7 +66,7 @@ PER_REPLICATE = "per_replicate"
 #: All named scopes.
 SCOPES = (SHARED, PER_SPECIMEN, PER_TEST, PER_REPLICATE)
 #: Prefixes of paths that do not belong to the material.
-NOT_MATERIAL = ("experiment.", "rig.", "readout.")
+NON_MATERIAL_PREFIXES = ("experiment.", "rig.", "readout.")
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ class ScopedCampaignParameter:
     @property
     def is_material_parameter(self) -> bool:
         """Whether the parameter belongs to the material, including its law."""
-        return not self.path.startswith(NOT_MATERIAL)
+        return not self.path.startswith(NON_MATERIAL_PREFIXES)
 
 
 def get_experiment_and_rig_declarations_by_path(experiment: Experiment | None, rig: Rig,
@@ -155,7 +155,7 @@ def _resolve_campaign_parameter(name: str, field: str, laws: Mapping[str, Declar
     path = name.removeprefix("material.")
     if path in laws:
         return ScopedCampaignParameter(path, laws[path], True, _read_scope(name, scope, everywhere, SHARED), everywhere)
-    if path.startswith(NOT_MATERIAL):
+    if path.startswith(NON_MATERIAL_PREFIXES):
         own = {test: found for test, known in around.items()
                if (found := _find_path_by_file_key_or_none(path, known)) is not None}
         if not own:

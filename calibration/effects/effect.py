@@ -21,7 +21,7 @@ from calibration.campaign.campaign import Campaign, FitSettings, Test
 from calibration.campaign.loads import compute_neo_hookean_stress
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameters import (
-    NOT_MATERIAL,
+    NON_MATERIAL_PREFIXES,
     SHARED,
     ScopedCampaignParameter,
     get_experiment_and_rig_declarations_by_path,
@@ -323,7 +323,7 @@ class Candidate:
         Raises:
             NotTestableError: no test of the candidate has the parameter.
         """
-        if not path.startswith(NOT_MATERIAL):
+        if not path.startswith(NON_MATERIAL_PREFIXES):
             law = None if self.law is None else find_law(self.law)
             if law is not None and path in law.parameters:
                 return get_law_parameter_declaration(law, path)
@@ -370,7 +370,7 @@ class Candidate:
         An effect of a rig or specimen also acts in held-out tests that state the same values, because they share this
         rig or specimen. Candidates of a single test (`mark`) act in this test only.
         """
-        if self.tests is None or self.mark or not all(path.startswith(NOT_MATERIAL) for path in self.sizes):
+        if self.tests is None or self.mark or not all(path.startswith(NON_MATERIAL_PREFIXES) for path in self.sizes):
             return self.tests
         # All tests of the candidate state the same values, so the first represents them.
         first = next(test for test in campaign.tests if test.name == self.tests[0])
@@ -400,7 +400,7 @@ class Candidate:
         for path in values:
             declaration = self.find_parameter_declaration(campaign, path)
             of_law = path in wider
-            names = everywhere if not path.startswith(NOT_MATERIAL) else tuple(
+            names = everywhere if not path.startswith(NON_MATERIAL_PREFIXES) else tuple(
                 test.name for test in campaign.tests if path in get_experiment_and_rig_declarations_by_path(
                     test.experiment, test.rig, test.readout))
             if tests is not None:
@@ -487,10 +487,10 @@ class Effect(ABC):
         Raises:
             InputError: a path does not exist in the model, or the values are invalid.
         """
-        # A readout of moduli is no part of a model.
+        # Parameters of the readout of moduli do not change the model.
         around = {path: value for path, value in values.items() if path.startswith(("experiment.", "rig."))}
         within = {path.removeprefix("material."): value for path, value in values.items()
-                  if not path.startswith(NOT_MATERIAL)}
+                  if not path.startswith(NON_MATERIAL_PREFIXES)}
         if self.law is not None:
             wider = {**dict.fromkeys(find_law(self.law).parameters, 0.0), **model.material.parameters}
             model = replace(model, material=replace(model.material, law=self.law, parameters=wider))

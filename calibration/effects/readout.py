@@ -12,7 +12,7 @@ from calibration.effects.candidates import make_experiment_or_rig_candidates, re
 from calibration.effects.effect import Candidate, DiagnosisData, Effect
 
 
-def require_tables(situation: DiagnosisData) -> Sequence[Test]:
+def require_modulus_tests(situation: DiagnosisData) -> Sequence[Test]:
     """Return the fitted tests of moduli.
 
     Raises:
@@ -42,7 +42,7 @@ class ReadoutInertia(Effect):
 
     def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidates with a trial inertia that changes the modulus at the largest frequency."""
-        tests = require_tables(situation)
+        tests = require_modulus_tests(situation)
         modulus, omega = find_largest_modulus_and_angular_frequency(situation, tests)
         return make_experiment_or_rig_candidates(self, situation, "readout.inertia", tests,
                                                  lambda _: self.trial_fraction * modulus / omega**2, two_sided=False)
@@ -61,7 +61,7 @@ class ReadoutCompliance(Effect):
 
     def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidates with a trial compliance that changes the largest modulus."""
-        tests = require_tables(situation)
+        tests = require_modulus_tests(situation)
         modulus, _ = find_largest_modulus_and_angular_frequency(situation, tests)
         return make_experiment_or_rig_candidates(self, situation, "readout.compliance", tests,
                                                  lambda _: self.trial_fraction / modulus, two_sided=False)
@@ -80,7 +80,7 @@ class ReadoutDelay(Effect):
 
     def candidates(self, situation: DiagnosisData) -> list[Candidate]:
         """Return the candidates with a trial delay of a small angle at the largest frequency."""
-        tests = require_tables(situation)
+        tests = require_modulus_tests(situation)
         _, omega = find_largest_modulus_and_angular_frequency(situation, tests)
         return make_experiment_or_rig_candidates(self, situation, "readout.delay", tests,
                                                  lambda _: self.trial_angle / omega)

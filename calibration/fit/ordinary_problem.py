@@ -44,7 +44,7 @@ class OrdinaryProblem(LeastSquaresProblem):
         settings: settings of the fit, including bounds and priors of offsets.
         noise: pooled noise of the nominal stress, Pa.
         force_noise: largest force noise of the recordings, N.
-        moves_force_control: see `calibration.forward.force_control.evaluate_residual_under_force_control`. Without the
+        uses_newton_step: see `calibration.forward.force_control.evaluate_residual_under_force_control`. Without the
             step the residuals are linear in the moduli.
     """
 
@@ -52,7 +52,7 @@ class OrdinaryProblem(LeastSquaresProblem):
     settings: FitSettings
     noise: float
     force_noise: float
-    moves_force_control: bool = True
+    uses_newton_step: bool = True
 
     @property
     def mesh_error(self) -> tuple[float, ...]:
@@ -188,7 +188,7 @@ class OrdinaryProblem(LeastSquaresProblem):
     @property
     def linear_in_moduli(self) -> OrdinaryProblem:
         """Same problem without the Newton step of recordings under force control."""
-        return replace(self, moves_force_control=False)
+        return replace(self, uses_newton_step=False)
 
     def compute_unknown_scales(self, theta: np.ndarray) -> np.ndarray:
         """Return the scale of each unknown: size of a parameter, prior deviation of an offset or zero; shape (k,)."""
@@ -232,7 +232,7 @@ class OrdinaryProblem(LeastSquaresProblem):
                 columns = slice(free + 2 * self.shifted.index(i), free + 2 * self.shifted.index(i) + 2)
             if test.measured[r].force_control is not None:
                 residual[rows], found, force[rows] = evaluate_residual_under_force_control(
-                    test, answers[t], r, offset, zero, self.moves_force_control)
+                    test, answers[t], r, offset, zero, self.uses_newton_step)
                 rates[rows, :free], rates[rows, columns] = found[:, :free], found[:, free:] if shifted else 0.0
                 continue
             force[rows], rates[rows, :free], contact = test.evaluate_force_and_derivatives(answers[t], r, offset,
@@ -261,7 +261,7 @@ class OrdinaryProblem(LeastSquaresProblem):
             curve = self.tests[t].measured[r]
             if curve.force_control is not None and not curve.stressed:
                 whitened = evaluate_residual_under_force_control(self.tests[t], answers[t], r, 0.0, 0.0,
-                                                                 self.moves_force_control)[1]
+                                                                 self.uses_newton_step)[1]
                 columns[rows] = whitened[:, -2:] * [noise.contact_jitter or 0.0, noise.zero_jitter or 0.0]
             elif not curve.stressed:
                 contact = self.tests[t].evaluate_force_and_derivatives(answers[t], r, 0.0)[2]

@@ -80,7 +80,7 @@ class StabilityConstraint:
         return np.concatenate([compute_stability_margins(law, np.array(values), self._stretches).ravel()
                                for values in self._list_parameters_of_law(theta)]) - _SETTINGS.smallest_margin
 
-    def holds(self, theta: np.ndarray) -> bool:
+    def is_satisfied(self, theta: np.ndarray) -> bool:
         """Whether the law is stable over the whole range."""
         law = find_law(self.problem.space.law)
         return bool((self.compute_margins(theta) >= -_SETTINGS.violation).all()) and all(
@@ -114,7 +114,7 @@ class StabilityConstraint:
                           options={"maxiter": _SETTINGS.max_iterations, "ftol": _SETTINGS.tolerance})
         found = np.clip(variables.convert_to_unknowns(result.x), *problem.bounds)
         evaluation = evaluate_or_none_if_infeasible(problem, found)
-        error = np.inf if evaluation is None or not self.holds(found) else evaluation.penalised_sum_of_squares
+        error = np.inf if evaluation is None or not self.is_satisfied(found) else evaluation.penalised_sum_of_squares
         failure = "" if result.success else str(result.message)
         return DescentResult(start, found, error, bool(result.success), failure, (), *spent())
 
@@ -134,8 +134,8 @@ def constrain_minima_to_stability(problem: OrdinaryProblem, minima: Sequence[tup
     """
     best = minima[0][0]
     constraint = StabilityConstraint(problem, best.theta)
-    if constraint.holds(best.theta):
-        return [item for item in minima if constraint.holds(item[0].theta)], ()
+    if constraint.is_satisfied(best.theta):
+        return [item for item in minima if constraint.is_satisfied(item[0].theta)], ()
     starts = [*((each.theta, count) for each, count in minima), *((theta, 1) for theta in others)]
     found = [(constraint.descend(theta, number), count)
              for number, (theta, count) in enumerate(starts[:_SETTINGS.max_candidates], 1)]

@@ -53,7 +53,7 @@ def whiten_force_changes(test: ForwardTest, answer: Any, recording: int, columns
 
 
 def evaluate_residual_under_force_control(test: Any, answer: Any, recording: int, offset: float, zero: float,
-                                          moves: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+                                          uses_newton_step: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the whitened residual of a closed form, its derivatives, and the force at the measured displacement.
 
     Args:
@@ -62,8 +62,8 @@ def evaluate_residual_under_force_control(test: Any, answer: Any, recording: int
         recording: index of the recording in the test.
         offset: contact offset, m.
         zero: zero of the force, N.
-        moves: whether the model is linearised at the displacement that it predicts for the measured force, by one
-            Newton step from the measured displacement; otherwise at the measured displacement.
+        uses_newton_step: whether the model is linearised at the displacement that it predicts for the measured force
+            (one Newton step from the measured displacement); otherwise it is linearised at the measured displacement.
 
     Returns:
         Residual, N, shape (n,); its derivatives with respect to the free parameters, the contact offset and the zero,
@@ -75,7 +75,7 @@ def evaluate_residual_under_force_control(test: Any, answer: Any, recording: int
     curve, at = test.measured[recording], test
     largest = _LARGEST_STEP * float(np.ptp(curve.displacement))
     forces, step = [], np.zeros(curve.force.size)
-    for last in ((False, True) if moves else (True,)):
+    for last in ((False, True) if uses_newton_step else (True,)):
         found, rates, contact = at.evaluate_force_and_derivatives(answer, recording, offset)
         forces.append(found + zero)
         columns = np.column_stack([found + zero - curve.force, rates, contact, np.ones(found.size)])

@@ -77,7 +77,7 @@ def build_forward_test_of_inverse_fit(test: Test, curves: Sequence[MeasuredCurve
     material = settings.placeholder_material_with_effects
     curves = tuple(curves)
     if test.modulus:
-        return ModulusTest(test.name, test.kind, test.modulus, test.pre_strain, curves)
+        return ModulusTest(test.name, test.kind, test.modulus, test.modulus_abscissa, curves)
     if test.experiment is None or curves[0].stressed:
         return build_weightless_closed_form_test(test, curves)
     layered = bool(material.layers)

@@ -46,14 +46,14 @@ class ModulusTest:
         name: name of the test.
         kind: kind of the test.
         modulus: ``"storage modulus"`` or ``"loss modulus"``.
-        pre_strain: stretch or shear strain about which the specimen oscillates.
+        abscissa: stretch or shear strain about which the specimen oscillates.
         measured: tables of the test.
     """
 
     name: str
     kind: TestKind
     modulus: str
-    pre_strain: float
+    abscissa: float
     measured: tuple[MeasuredCurve, ...]
 
     is_force_proportional_to_moduli: ClassVar[bool] = False
@@ -71,7 +71,7 @@ class ModulusTest:
     @property
     def largest_strain_or_none(self) -> float | None:
         """I1 - 3 of the pre-strain; see `ForwardTest.largest_strain_or_none`."""
-        return float(self.closed_form.compute_first_invariant(np.array(self.pre_strain))) - 3.0
+        return float(self.closed_form.compute_first_invariant(np.array(self.abscissa))) - 3.0
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> ModulusParameters:
         """Return the parameter values."""
@@ -110,7 +110,7 @@ class ModulusTest:
                                                                                      curve.name))
             with np.errstate(all="ignore"):
                 modulus = readout.compute_reading(
-                    self.closed_form.complex_modulus(material, curve.displacement, self.pre_strain), curve.displacement)
+                    self.closed_form.complex_modulus(material, curve.displacement, self.abscissa), curve.displacement)
         except InputError as error:
             raise InfeasibleError(f"{self.name}: {error}") from None
         part = modulus.real if self.modulus == "storage modulus" else modulus.imag
@@ -137,7 +137,7 @@ class ModulusTest:
     def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the range of stretches from rest to the pre-strain, with an amplitude, see `ASSUMED_AMPLITUDE`."""
         form = self.closed_form
-        low = min(self.pre_strain, form.rest) - ASSUMED_AMPLITUDE
-        high = max(self.pre_strain, form.rest) + ASSUMED_AMPLITUDE
+        low = min(self.abscissa, form.rest) - ASSUMED_AMPLITUDE
+        high = max(self.abscissa, form.rest) + ASSUMED_AMPLITUDE
         principal = form.find_extreme_stretches(low, high)
         return StretchRange(form.mode, *((low, high) if form.rest else principal), principal)

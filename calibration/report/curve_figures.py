@@ -105,7 +105,7 @@ def draw_view_panel(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: P
             shown.append(y)
     for rank, (curves, title, style) in enumerate(drawn):
         line = {**style, "lw": 1.8 if rank == 0 else 1.2, "zorder": 4 - rank / len(drawn)}
-        trace = get_law_trace_or_none(curves, view.own, view.responds)
+        trace = get_law_trace_or_none(curves, view.own, view.shows_displacement_response)
         for x, y, band in () if trace is None else view.lines(trace):
             axes.plot(x, y, label=title, **line)
             if rank == 0:
@@ -118,7 +118,7 @@ def draw_view_panel(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: P
     if view.log:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
-    if view.log_load:
+    if view.has_log_load_axis:
         axes.set_yscale("log")
         axes.autoscale(axis="y")
 

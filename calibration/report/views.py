@@ -89,9 +89,10 @@ class PanelLabelsAndLineFunction:
         lines: returns the lines of a trace in the units of the axes.
         own: whether laws are drawn with the contact offset and force zero of the first recording (timed tests only).
         log: whether the horizontal axis is logarithmic.
-        log_load: whether the vertical axis is logarithmic.
+        has_log_load_axis: whether the vertical axis is logarithmic.
         rates: whether outliers are expected, which are then ignored for the scale.
-        responds: whether laws are drawn by their displacement at the measured force of the first recording.
+        shows_displacement_response: whether laws are drawn by their displacement at the measured force of the first
+            recording.
     """
 
     title: str
@@ -101,8 +102,8 @@ class PanelLabelsAndLineFunction:
     own: bool = False
     log: bool = False
     rates: bool = False
-    log_load: bool = False
-    responds: bool = False
+    has_log_load_axis: bool = False
+    shows_displacement_response: bool = False
 
 
 def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabelsAndLineFunction]:
@@ -118,7 +119,7 @@ def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabel
     if best.test.modulus:
         return [PanelLabelsAndLineFunction(
             best.test.modulus.capitalize(), "frequency [Hz]", units.pressure.format_axis_label(best.test.modulus),
-            partial(_iterate_modulus_lines, units.pressure), log=True, log_load=True)]
+            partial(_iterate_modulus_lines, units.pressure), log=True, has_log_load_axis=True)]
     test, found = best.test, []
     x, load, area = units.get_displacement_unit(test), units.get_load_unit(test), _find_loaded_area_or_none(best)
     curve, x_label = _LoadDisplacementLines(x, load), x.format_axis_label("displacement")
@@ -146,12 +147,13 @@ def list_panels_of_test(best: TestCurves, units: ReportUnits) -> list[PanelLabel
             name = test.kind.strain_name if test.states_stress else x.format_axis_label("displacement")
             history = _ChannelTimeLines(x, "displacement")
         found.append(PanelLabelsAndLineFunction("Displacement over time" if creeps else "Load over time", "time [s]",
-                                                name, history.iterate_lines, responds=creeps))
+                                                name, history.iterate_lines, shows_displacement_response=creeps))
         if any(label.startswith("hold") for label, _,
                _ in CurveTrace.from_recording(best.measured[0]).iterate_segment_names_and_bounds()):
             found.append(PanelLabelsAndLineFunction("Creep in holds" if creeps else "Relaxation in holds",
                                                     "time since the start of the hold [s]", name,
-                                                    history.iterate_holds, own=True, log=True, responds=creeps))
+                                                    history.iterate_holds, own=True, log=True,
+                                                    shows_displacement_response=creeps))
     return found
 
 
@@ -179,7 +181,8 @@ def have_times_and_several_segments(recordings: Sequence[MeasuredCurve]) -> bool
     return all(m.time is not None and m.segment is not None and np.unique(m.segment).size > 1 for m in recordings)
 
 
-def get_law_trace_or_none(curves: TestCurves, own: bool = False, responds: bool = False) -> CurveTrace | None:
+def get_law_trace_or_none(curves: TestCurves, own: bool = False,
+                          shows_displacement_response: bool = False) -> CurveTrace | None:
     """Return the fitted curve of a law for drawing; None if the recording and the model have no common time.
 
     For a timed test the curve is evaluated at the samples of the first recording, otherwise along the model's motion.
@@ -187,13 +190,13 @@ def get_law_trace_or_none(curves: TestCurves, own: bool = False, responds: bool 
     Args:
         curves: recorded and fitted curves of a test.
         own: whether a timed test uses the contact offset and force zero of the first recording.
-        responds: whether the curve is the displacement at the measured force of the first recording.
+        shows_displacement_response: whether the curve is the displacement at the measured force of the first recording.
 
     Returns:
         The curve; None if model and recording have no common time.
     """
     first = curves.measured[0]
-    if responds:
+    if shows_displacement_response:
         displacement = next(iter(curves.displacements), None)
         return None if displacement is None else replace(CurveTrace.from_recording(first), displacement=displacement)
     if own and have_times_and_several_segments(curves.measured):

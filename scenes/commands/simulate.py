@@ -137,7 +137,7 @@ def _run(arguments: Namespace) -> CommandResult:
                          "Leave --figure out",
                          field="--figure")
     if experiment.grip is not None:
-        recording = _with_grip_factor(recording, arguments.scene, model)
+        recording = _add_grip_factor(recording, arguments.scene, model)
     recordings = simulate_replicate_readings(
         read, recording.with_metadata(**make_kind_specimen_tool_metadata(arguments.scene, experiment)),
         arguments.replicates)
@@ -161,7 +161,7 @@ def _run(arguments: Namespace) -> CommandResult:
     return result
 
 
-def _with_grip_factor(recording: Recording, scene: str, model: Model) -> Recording:
+def _add_grip_factor(recording: Recording, scene: str, model: Model) -> Recording:
     """Return a recording whose solver report has the load over that of the closed form, if the closed form holds."""
     import numpy as np
 

@@ -120,7 +120,7 @@ def test_the_report_draws_the_displacement_of_a_creep_test(creep, true, campaign
     curves, = compute_test_curves(estimate, spread, [(estimate.problem.tests[0], 0.0)], None)
     panels = list_panels_of_test(curves, ReportUnits.choose_for_typical_sizes(2e-3, 3.0, 1e4))
     assert [panel.title for panel in panels][-2:] == ["Displacement over time", "Creep in holds"]
-    trace = get_law_trace_or_none(curves, responds=panels[-1].responds)
+    trace = get_law_trace_or_none(curves, shows_displacement_response=panels[-1].shows_displacement_response)
     np.testing.assert_allclose(trace.displacement, true.displacement, atol=1e-5)
     assert trace.displacement[-1] > 1.2 * trace.displacement[45]
 

@@ -32,7 +32,7 @@ _ENERGY_STEP = 1e-6
 _DIFFERENCES = np.array([[-2.0, -1.0, 0.0, 1.0, 2.0], [1.0 / 12.0, -8.0 / 12.0, 0.0, 8.0 / 12.0, -1.0 / 12.0]])
 
 
-def complex_modulus(material: Material, frequency, mode: str = "uniaxial", pre_strain: float | None = None,
+def complex_modulus(material: Material, frequency, mode: str = "uniaxial", abscissa: float | None = None,
                     contact_radius: float | None = None) -> np.ndarray:
     """Return storage modulus + i loss modulus of small oscillations about a pre-strain, Pa, complex, shape (n,).
 
@@ -46,7 +46,7 @@ def complex_modulus(material: Material, frequency, mode: str = "uniaxial", pre_s
         mode: ``"uniaxial"`` (E' and E''), ``"simple_shear"`` (G' and G''), ``"planar"``, ``"equibiaxial"`` or
             ``"confined"``, without the bulk modulus unless it is that of the law. For a kind of test use
             `tissue_sim.closed_form.homogeneous.ClosedForm.complex_modulus`.
-        pre_strain: stretch, or shear strain, about which the specimen oscillates, fully relaxed; None: undeformed.
+        abscissa: stretch, or shear strain, about which the specimen oscillates, fully relaxed; None: undeformed.
         contact_radius: radius of the specimen, m, for the time of drainage.
 
     Raises:
@@ -67,9 +67,9 @@ def complex_modulus(material: Material, frequency, mode: str = "uniaxial", pre_s
     frequency = np.array(frequency, dtype=float, ndmin=1)
     if frequency.ndim != 1 or not ((frequency > 0.0) & np.isfinite(frequency)).all():
         raise InputError("must be positive and finite, one list in Hz.", field="frequency")
-    rest = form.rest if pre_strain is None else float(pre_strain)
+    rest = form.rest if abscissa is None else float(abscissa)
     if not np.isfinite(rest):
-        raise InputError(f"must be finite; got {rest}.", field="pre_strain")
+        raise InputError(f"must be finite; got {rest}.", field="abscissa")
     strain = rest + DIFFERENCE_STEP * _DIFFERENCES[0][:, None]
     form.require_valid(strain)
     require_homogeneous_material(material)
@@ -95,10 +95,10 @@ def complex_modulus(material: Material, frequency, mode: str = "uniaxial", pre_s
     return (1.0 - prony.relaxing_fraction) * geometric + tangent * relative
 
 
-def _require_inside_domain(modulus: float, pre_strain: float) -> float:
+def _require_inside_domain(modulus: float, abscissa: float) -> float:
     """Return a modulus, Pa; raise an `InputError` if it is not finite, as outside of the domain of the law."""
     if not np.isfinite(modulus):
-        raise InputError(f"must be inside the domain of the law; got {pre_strain:g}.", field="pre_strain")
+        raise InputError(f"must be inside the domain of the law; got {abscissa:g}.", field="abscissa")
     return modulus
 
 
