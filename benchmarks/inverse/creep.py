@@ -63,7 +63,8 @@ def simulate_creep() -> ts.Recording:
     """Simulate the test in force control by finite elements on one element, without noise."""
     protocol = ts.Protocol(np.concatenate([np.linspace(0.0, 2.0, 41), np.linspace(2.1, 60.0, 300)]),
                            force=np.concatenate([np.linspace(0.0, 3.0, 41), np.full(300, 3.0)]))
-    experiment = ts.KINDS["lubricated_compression"].experiment(specimen=ts.Specimen(RADIUS_AND_HEIGHT, RADIUS_AND_HEIGHT), protocol=protocol)
+    experiment = ts.KINDS["lubricated_compression"].experiment(
+        specimen=ts.Specimen(RADIUS_AND_HEIGHT, RADIUS_AND_HEIGHT), protocol=protocol)
     series = ts.Prony((ts.PronyTerm(TRUTH["viscoelastic.terms[0].g"], TRUTH["viscoelastic.terms[0].tau"]),))
     material = ts.Material(LAW, {"C10": TRUTH["C10"]}, ts.Bulk("bulk_ratio", 1e5), viscoelastic=series)
     return ts.simulate(ts.Model(experiment, material), estimate_error=False)
