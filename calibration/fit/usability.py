@@ -443,7 +443,7 @@ def _describe_misfit_remedy(evidence: UsabilityEvidence) -> str:
     problem = evidence.estimate.problem
     found = [f"{curve.name}: the force begins at {start:.3g} {'Pa' if curve.stressed else 'N'}, against the load, so "
              "the load cell was not zeroed: set offset = \"start\" for the force in columns"
-             for curve in problem.measured if curve.has_contact_and_zero
+             for curve in problem.measured if curve.has_zero
              and (start := _get_negative_start_force_or_zero(curve, evidence.limits)) < 0]
     return "; ".join(found) or describe_stiffness_disagreement_or_empty(problem, evidence.estimate.evaluation.force,
                                                                         evidence.limits.smallest_R2) or _OTHER_LAW

@@ -273,7 +273,7 @@ def test_numbered_columns_of_two_specimens_are_two_recordings(tmp_path):
 
 def test_biaxial_words_above_one_axis_are_refused(tmp_path):
     path = write_text(tmp_path, "Biaxial test\nStretch,Stress (kPa)", (STRETCH[:, 0], STRESS[:, 0]))
-    with pytest.raises(ts.InputError, match=r"'biaxial test' above the numbers.* and the table has one load"):
+    with pytest.raises(ts.InputError, match=r"'biaxial test' above the numbers.*has one load"):
         calibration.import_files([path])
 
 
