@@ -107,8 +107,8 @@ class TestFractionalZener:
     ({"mode": "biaxial"}, "mode: must be one of uniaxial, planar, equibiaxial, confined, simple_shear; got biaxial"),
     ({"frequency": [1.0, 0.0]}, "frequency: must be positive and finite"),
     ({"frequency": [[1.0]]}, "frequency: must be positive and finite, one list in Hz"),
-    ({"pre_strain": -1.0}, "stretch: must be above 0"),
-    ({"pre_strain": float("nan")}, "pre_strain: must be finite; got nan")])
+    ({"abscissa": -1.0}, "stretch: must be above 0"),
+    ({"abscissa": float("nan")}, "pre_strain: must be finite; got nan")])
 def test_errors(options, problem):
     with pytest.raises(ts.InputError, match=problem):
         ts.complex_modulus(ts.Material("neo_hooke", {"C10": 1000.0}), **({"frequency": [1.0]} | options))
@@ -116,7 +116,7 @@ def test_errors(options, problem):
 
 def test_strain_outside_of_the_domain_of_the_law():
     rubber = ts.Material("gent", {"mu": 1000.0, "J_m": 1.0})
-    with pytest.raises(ts.InputError, match="pre_strain: must be inside the domain of the law; got 2"):
+    with pytest.raises(ts.InputError, match="abscissa: must be inside the domain of the law; got 2"):
         ts.complex_modulus(rubber, [1.0], "uniaxial", 2.0)
 
 
