@@ -108,7 +108,7 @@ class TestFractionalZener:
     ({"frequency": [1.0, 0.0]}, "frequency: must be positive and finite"),
     ({"frequency": [[1.0]]}, "frequency: must be positive and finite, one list in Hz"),
     ({"abscissa": -1.0}, "stretch: must be above 0"),
-    ({"abscissa": float("nan")}, "pre_strain: must be finite; got nan")])
+    ({"abscissa": float("nan")}, "abscissa: must be finite; got nan")])
 def test_errors(options, problem):
     with pytest.raises(ts.InputError, match=problem):
         ts.complex_modulus(ts.Material("neo_hooke", {"C10": 1000.0}), **({"frequency": [1.0]} | options))
