@@ -212,7 +212,7 @@ def test_sentences():
         EffectParameter(path="rig.compliance", symbol="c", unit="m/N", value=2e-5, standard_error=1e-6, absent=0.0)])
     named = summarise_diagnosis("NAMED", [compliance], ["machine compliance"], [region], (0.1, 0.01, 0.02), 3)
     assert named == ("Machine compliance (c = 0.02 ± 0.001 mm/N) was missing. The misfit falls from 0.1 to 0.01 N "
-                     "(5 to 0.5 of the noise).")
+                     "(5 to 0.5 times the noise).")
     several = summarise_diagnosis("SET", [compliance], ["machine compliance", "height"], [region],
                                   (0.1, 0.01, 0.02), 3)
     assert several.startswith("Machine compliance or height is missing, and these tests cannot distinguish them")
