@@ -92,7 +92,7 @@ def test_axial_force_has_no_history():
     form = TORSION_WITH_AXIAL_FORCE.select_load(1)
     for call in (lambda: form.stress_history(material, np.arange(2.0), np.array([0.0, 0.1]), RADIUS),
                  lambda: form.complex_modulus(material, np.array([1.0]))):
-        with pytest.raises(ts.InputError, match="must be .torsion. for a material with memory"):
+        with pytest.raises(ts.InputError, match="must be 'torsion' for a material with memory"):
             call()
 
 
