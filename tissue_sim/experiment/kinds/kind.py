@@ -211,7 +211,7 @@ class TestKind:
     def select_load(self, number: int) -> TestKind:
         """Return the kind with one of its loads as the first one; the other motions and loads follow in turn.
 
-        A campaign treats each load of a recording as a test of its own, of this kind.
+        A campaign treats each load of a recording as a separate test of this kind.
 
         Args:
             number: index of the load, from 0.

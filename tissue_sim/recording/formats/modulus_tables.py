@@ -230,7 +230,7 @@ def _explain_several_sweeps_or_empty(numbers: NumberTable, used: Mapping[int, Co
                         if np.unique(frequency[rows]).size >= _LEVELS.frequencies)
         if 1 < len(ranges) == len(levels) and any(after[0] <= before[1] for before, after in pairwise(ranges)):
             return (f"a table must have one sweep of the frequency; column {header or other + 1!r} has {len(levels)} "
-                    "values over the same frequencies. Write the rows of each value to a file of its own; import the "
+                    "values over the same frequencies. Write the rows of each value to a separate file; import the "
                     "files of one state of the material together")
     return ""
 
